@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -23,7 +23,16 @@ from jobs.pipeline import BYTES_BASE, open_configured, scene_payload
 from schemas.config import CameraConfig, Config, SourceConfig
 from schemas.errors import InputError, MissingFileError, UsageError
 
-__all__ = ["Estimate", "Target", "estimate", "find_target", "list_units"]
+__all__ = [
+    "Estimate",
+    "Target",
+    "configured",
+    "estimate",
+    "find_target",
+    "list_units",
+    "scene_handles",
+    "scene_unit",
+]
 
 PIXEL_SECONDS: Final = 5e-8
 """Expected CPU seconds of rendering and encoding one pixel on the reference machine."""
@@ -65,7 +74,7 @@ def find_target(
     path = Path(text)
     if path.is_dir():
         export = path.resolve()
-        config = _config_of(scenes)
+        config = configured(scenes)
     else:
         config = load_config(path, overrides)
         if config.export is None:
@@ -90,7 +99,7 @@ def find_target(
     )
 
 
-def _config_of(scenes: Sequence[str]) -> Config:
+def configured(scenes: Sequence[str]) -> Config:
     """Return a configuration whose sources are the named datasets; the rest of it is not used."""
     roots = datasets_of(scenes)
     if not roots:
@@ -115,7 +124,7 @@ class _Lines:
     state: Any = field(default_factory=hashlib.sha256)
 
 
-def list_units(target: Target, cameras: dict[str, CameraConfig], walks: float, hash_file: HashFile) -> list[Unit]:
+def list_units(target: Target, cameras: Mapping[str, CameraConfig], walks: float, hash_file: HashFile) -> list[Unit]:
     """List the scenes of the split as units.
 
     A scene that no source has, or that can't be listed, becomes a unit that holds its error.
@@ -132,37 +141,66 @@ def list_units(target: Target, cameras: dict[str, CameraConfig], walks: float, h
         found.state.update(hashlib.sha256(line.text).digest())
         length = fields.get("route_length")
         found.metres += float(length) if isinstance(length, int | float) else 0.0
-    handles = _handles(target, {scene for _, scene in lines}, hash_file)
-    pixels = sum(camera.width * camera.height for camera in set(cameras.values()))
+    handles = scene_handles(target, {scene for _, scene in lines}, hash_file)
     units = []
     for (family, scene_id), found in sorted(lines.items()):
-        handle = handles.get((family, scene_id))
-        fault = _missing(family, scene_id) if handle is None else handle[1].fault
-        frames = walks * (STEPS_PER_METRE * found.metres + LEAST_STEPS * len(found.numbers))
-        inputs = [InputFile(f"manifest/{target.split}", found.size, found.state.hexdigest())]
-        payload: dict[str, Any] = {"scene_id": scene_id, "family": family}
-        memory = BYTES_BASE
-        if handle is not None:
-            source, listed = handle
-            payload = scene_payload(source, scene_id)
-            inputs += [InputFile(i.path, i.size, i.sha256) for i in listed.inputs]
-            memory += 4 * sum(i.size for i in listed.inputs)
-        payload |= {"manifest": str(manifest), "lines": found.numbers, "roots": [str(root) for root in target.roots]}
         units.append(
-            Unit(
-                unit_id=f"{family}/{scene_id}",
-                partition=family,
-                inputs=tuple(inputs),
-                payload=payload,
-                costs={"walks": 0.02 * len(found.numbers) * walks, "frames": 1.0 + frames * pixels * PIXEL_SECONDS},
-                memory=memory,
-                fault=fault,
+            scene_unit(
+                family,
+                scene_id,
+                handles.get((family, scene_id)),
+                [InputFile(f"manifest/{target.split}", found.size, found.state.hexdigest())],
+                {
+                    "manifest": str(manifest),
+                    "lines": found.numbers,
+                    "episodes": len(found.numbers),
+                    "roots": [str(root) for root in target.roots],
+                },
+                walks * (STEPS_PER_METRE * found.metres + LEAST_STEPS * len(found.numbers)),
+                cameras,
+                walks * len(found.numbers),
             )
         )
     return units
 
 
-def _handles(
+def scene_unit(
+    family: str,
+    scene_id: str,
+    handle: tuple[SourceConfig, SceneHandle] | None,
+    inputs: Sequence[InputFile],
+    payload: Mapping[str, Any],
+    frames: float,
+    cameras: Mapping[str, CameraConfig],
+    walks: float = 0.0,
+) -> Unit:
+    """Return the unit of one scene; it holds an error if no source has the scene, or the scene can't be listed.
+
+    inputs, payload : of the walks; those of the scene are added
+    frames, walks : expected number of frames, and of walks that have to be found
+    """
+    fault = _missing(family, scene_id) if handle is None else handle[1].fault
+    own: dict[str, Any] = {"scene_id": scene_id, "family": family}
+    files = list(inputs)
+    memory = BYTES_BASE
+    if handle is not None:
+        source, listed = handle
+        own = scene_payload(source, scene_id)
+        files += [InputFile(i.path, i.size, i.sha256) for i in listed.inputs]
+        memory += 4 * sum(i.size for i in listed.inputs)
+    pixels = sum(camera.width * camera.height for camera in set(cameras.values()))
+    return Unit(
+        unit_id=f"{family}/{scene_id}",
+        partition=family,
+        inputs=tuple(files),
+        payload={**own, **payload},
+        costs={"walks": 0.02 * walks, "frames": 1.0 + frames * pixels * PIXEL_SECONDS},
+        memory=memory,
+        fault=fault,
+    )
+
+
+def scene_handles(
     target: Target, wanted: set[str], hash_file: HashFile
 ) -> dict[tuple[str, str], tuple[SourceConfig, SceneHandle]]:
     """Return the scenes of the split that the sources hold, each with its source. Scenes that the configuration
@@ -200,12 +238,12 @@ class Estimate:
     hours: float
 
 
-def estimate(units: Sequence[Unit], cameras: dict[str, CameraConfig]) -> Estimate:
+def estimate(units: Sequence[Unit], cameras: Mapping[str, CameraConfig]) -> Estimate:
     """Estimate a run from the lengths of the routes."""
     pixels = sum(camera.width * camera.height for camera in set(cameras.values()))
     frames = sum(max(unit.costs["frames"] - 1.0, 0.0) for unit in units) / (pixels * PIXEL_SECONDS)
     size = sum(c.width * c.height * PIXEL_BYTES[name.partition(".")[0]] for name, c in cameras.items())
-    episodes = sum(len(lines) for unit in units if isinstance(lines := unit.payload["lines"], list))
+    episodes = sum(count for unit in units if isinstance(count := unit.payload["episodes"], int))
     seconds = sum(unit.cost for unit in units) * slowness()
     return Estimate(
         len(units), episodes, round(frames), round(frames * len(cameras)), frames * size / 1e9, seconds / 3600

@@ -41,6 +41,7 @@ class Family:
         ``{name}`` the id without its folder
     always_placed : every scene gets a navmesh, built from its walls or its reachable positions
     costs_like : the family whose measured costs are used for first estimates
+    licensed : the terms forbid to pass on images of its scenes; each user gets a copy from the owner
     """
 
     name: str
@@ -51,6 +52,7 @@ class Family:
     scene_file: str = "{family}/{scene}/{name}.glb"
     always_placed: bool = False
     costs_like: str | None = None
+    licensed: bool = False
 
 
 @cache
@@ -111,6 +113,7 @@ FAMILIES: Final[dict[str, Family]] = {
         official_split=partial(_listed, "gibson"),
         # The verified and the automated annotation of a building refer to the same mesh.
         scene_file="{family}/{name}/{name}.glb",
+        licensed=True,
     ),
     "ithor": Family(
         "AI2-THOR (iTHOR)",
@@ -126,6 +129,7 @@ FAMILIES: Final[dict[str, Family]] = {
         "Chang et al., Matterport3D: Learning from RGB-D Data in Indoor Environments, 3DV 2017",
         official_split=partial(_listed, "mp3d"),
         costs_like="gibson",
+        licensed=True,
     ),
     "procthor": Family(
         "ProcTHOR-10K",

@@ -4,16 +4,18 @@ sweep adds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Final, Literal
+from typing import Any, Final, Literal
+
+from pydantic import ValidationError
 
 from condvln.sensors.camera import half_extents
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 
-__all__ = ["MAIN", "Cameras", "Sweep", "hub_cameras", "intrinsics", "setting"]
+__all__ = ["MAIN", "Cameras", "Sweep", "hub_cameras", "intrinsics", "setting", "sweep_of"]
 
 MAIN: Final = "rgb"
 """Name of the hub's main camera: the folder that StreamVLN's loader reads."""
@@ -50,7 +52,12 @@ class Sweep:
     modalities: tuple[Literal["rgb", "depth"], ...] = field(default=("rgb",))
 
     def cameras(self, main: CameraConfig) -> dict[str, CameraConfig]:
-        """Return the cameras by name; none if all lists are empty."""
+        """Return the cameras by name; none if all lists are empty.
+
+        Raises
+        ------
+        UsageError : a value that no camera can have
+        """
         if not (self.heights or self.pitches or self.hfovs or self.sizes):
             return {}
         found: dict[str, CameraConfig] = {}
@@ -60,15 +67,59 @@ class Sweep:
             self.hfovs or (main.hfov,),
             self.sizes or ((main.width, main.height),),
         ):
-            camera = CameraConfig.model_validate(
-                main.model_dump()
-                | {"eye_height": height, "look_down": pitch, "hfov": hfov, "width": size[0], "height": size[1]}
-            )
+            values = {"eye_height": height, "look_down": pitch, "hfov": hfov, "width": size[0], "height": size[1]}
+            try:
+                camera = CameraConfig.model_validate(main.model_dump() | values)
+            except ValidationError as error:
+                fault = error.errors()[0]
+                raise UsageError(
+                    f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}", place="--sweep", remedy="Change this value."
+                ) from None
             name = setting(camera)
             name += f"_{camera.hfov:g}fov" if self.hfovs else ""
             name += f"_{camera.width}x{camera.height}" if self.sizes else ""
             found |= {f"{modality}.{name}": camera for modality in self.modalities}
         return found
+
+
+def sweep_of(texts: Sequence[str]) -> Sweep:
+    """Return the sweep that texts such as ``height=0.6,1.25`` describe.
+
+    Raises
+    ------
+    UsageError : a text is not of the form ``key=value,value``, or an unknown key or value
+    """
+    found: dict[str, tuple[Any, ...]] = {}
+    for text in texts:
+        key, _, values = text.partition("=")
+        try:
+            field_name, read = _SWEPT[key]
+            found[field_name] = tuple(read(value) for value in values.split(","))
+        except (KeyError, ValueError):
+            raise UsageError(
+                f"{text!r} is not a sweep",
+                place="--sweep",
+                remedy="Examples: height=0.6,1.25 pitch=0,30 hfov=79,90 size=640x480,224x224 images=rgb,depth",
+            ) from None
+    return Sweep(**found)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = text.split("x")
+    return int(width), int(height)
+
+
+def _modality(text: str) -> str:
+    return ("rgb", "depth")[("rgb", "depth").index(text)]
+
+
+_SWEPT: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
+    "height": ("heights", float),
+    "pitch": ("pitches", float),
+    "hfov": ("hfovs", float),
+    "size": ("sizes", _size),
+    "images": ("modalities", _modality),
+}
 
 
 def setting(camera: CameraConfig) -> str:

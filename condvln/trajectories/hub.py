@@ -21,7 +21,7 @@ from condvln.formats.streams import JsonArrayStream, atomic_stream
 from condvln.trajectories.images import IMAGES
 from schemas.trajectory_tables import TRAJECTORY_TABLES
 
-__all__ = ["ANNOTATIONS", "SceneWalks", "annotation", "write_hub"]
+__all__ = ["ANNOTATIONS", "SceneWalks", "annotation", "write_hub", "write_tables"]
 
 ANNOTATIONS: Final = "annotations.json"
 
@@ -66,14 +66,20 @@ def write_hub(folder: Path, scenes: Iterable[SceneWalks]) -> Iterator[SceneWalks
 
     The files replace older ones when all scenes are done.
     """
-    with ExitStack() as stack:
-        stream = stack.enter_context(atomic_stream(folder / ANNOTATIONS, closing=b"\n]\n"))
+    with atomic_stream(folder / ANNOTATIONS, closing=b"\n]\n") as stream:
         stream.write(b"[\n")
         entries = JsonArrayStream(stream)
-        tables = {name: stack.enter_context(_parquet(folder / f"{name}.parquet", name)) for name in TRAJECTORY_TABLES}
-        for scene in scenes:
+        for scene in write_tables(folder, scenes):
             for row in scene.trajectories():
                 entries.entry(orjson.dumps(annotation(row)))
+            yield scene
+
+
+def write_tables(folder: Path, scenes: Iterable[SceneWalks]) -> Iterator[SceneWalks]:
+    """Write one Parquet file per table for all scenes; yield each scene after its rows are written."""
+    with ExitStack() as stack:
+        tables = {name: stack.enter_context(_parquet(folder / f"{name}.parquet", name)) for name in TRAJECTORY_TABLES}
+        for scene in scenes:
             for name, writer in tables.items():
                 table = scene.tables[name]
                 if table.num_rows:

@@ -62,10 +62,14 @@ class ImageWriter:
     Parameters
     ----------
     folder : the folder of the trajectories
+    keep : write the images; otherwise they are only rendered and hashed
     """
 
-    def __init__(self, folder: Path, renderer: Renderer, cameras: Cameras, config: TrajectoryConfig) -> None:
+    def __init__(
+        self, folder: Path, renderer: Renderer, cameras: Cameras, config: TrajectoryConfig, *, keep: bool = True
+    ) -> None:
         self._folder, self._renderer, self._cameras, self._config = folder, renderer, dict(cameras), config
+        self._keep = keep
         self._views: dict[CameraConfig, list[str]] = {}
         for name, camera in self._cameras.items():
             self._views.setdefault(camera, []).append(name)
@@ -87,7 +91,7 @@ class ImageWriter:
         target = self._folder / IMAGES / name
         part = target.with_name(f"{_PART}{os.getpid()}-{name}")
         try:
-            for camera in self._cameras:
+            for camera in self._cameras if self._keep else ():
                 (part / camera).mkdir(parents=True, exist_ok=True)
             places = _columns(steps["position"])
             images: list[dict[str, Any]] = []
@@ -100,7 +104,8 @@ class ImageWriter:
                         slack = self._config.goal_slack
                         goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, slack)
                     path = image_path(name, camera, frame)
-                    (part / camera / path.rpartition("/")[2]).write_bytes(data)
+                    if self._keep:
+                        (part / camera / path.rpartition("/")[2]).write_bytes(data)
                     images.append(
                         {
                             "step": frame,
@@ -112,7 +117,8 @@ class ImageWriter:
                             "sha256": hashlib.sha256(data).hexdigest(),
                         }
                     )
-            _replace(part, target)
+            if self._keep:
+                _replace(part, target)
         except OSError as error:
             raise StoreError(
                 f"can't be written: {error.strerror or error}",

@@ -51,6 +51,8 @@ class _Scene:
         self._folder, self._target, self._cameras, self._down = folder, target, cameras, down
 
     def write(self, scene: SceneWalks) -> None:
+        if not scene.tables["trajectories"].num_rows:
+            return
         poses: dict[str, list[dict[str, Any]]] = {}
         for row in scene.tables["poses"].to_pylist():
             poses.setdefault(row["trajectory"], []).append(row)

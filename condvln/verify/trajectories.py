@@ -90,10 +90,11 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     cameras = {name: CameraConfig.model_validate(camera) for name, camera in record["cameras"].items()}
     images = record["config"]
     proof = TrajectoryProof()
-    entries = {str(entry.get("trajectory")): entry for entry in _annotations(folder)}
+    written = record["images_written"]
+    entries = {str(entry.get("trajectory")): entry for entry in _annotations(folder)} if written else {}
     walks = _table(folder, "trajectories").to_pylist()
     names = [walk["trajectory"] for walk in walks]
-    if sorted(entries) != sorted(names) or len(set(names)) != len(names):
+    if (written and sorted(entries) != sorted(names)) or len(set(names)) != len(names):
         proof.faults.append(TrajectoryFault("", "annotations.json and trajectories.parquet have different walks"))
     owners = {walk["trajectory"]: walk for walk in walks if walk["frames_of"] == walk["trajectory"]}
     for walk in walks:
@@ -108,7 +109,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
         if walk is None:
             proof.faults.append(TrajectoryFault(name, "poses.parquet has a walk that trajectories.parquet has not"))
             continue
-        frames = _Frames(folder, walk, rows, cameras, images, world)
+        frames = _Frames(folder if written else None, walk, rows, cameras, images, world)
         proof.faults += [TrajectoryFault(name, what) for what in frames.faults(proof)]
     proof.faults += [TrajectoryFault(name, "the walk has no poses") for name in sorted(set(owners) - seen)]
     left_out = _table(folder, "left_out").to_pylist()
@@ -206,11 +207,11 @@ class _Walk:
 
 
 class _Frames:
-    """The poses and images of one walk."""
+    """The poses and images of one walk; `folder` is None for a recipe, which has no images."""
 
     def __init__(
         self,
-        folder: Path,
+        folder: Path | None,
         walk: Row,
         rows: list[dict[str, Any]],
         cameras: Mapping[str, CameraConfig],
@@ -249,8 +250,9 @@ class _Frames:
             if fault:
                 found.add(f"frame {frame}, {row['camera']}: {fault}")
         yield from sorted(found)
-        for name in sorted(self._cameras):
+        for name in sorted(self._cameras) if self._folder is not None else ():
             own = {Path(row["image"]).name for row in self._rows if row["camera"] == name}
+            assert self._folder is not None
             here = self._folder / "images" / walk["trajectory"] / name
             if {path.name for path in here.glob("*")} != own:
                 yield f"{here.relative_to(self._folder)}: the files are not the walk's frames"
@@ -273,14 +275,25 @@ class _Frames:
     def _image(
         self, row: Row, place: F64, heading: float, episode: ManifestEpisode, proof: TrajectoryProof
     ) -> str | None:
-        from PIL import Image
-
-        camera = self._cameras[row["camera"]]
         suffix = "png" if row["camera"].startswith("depth") else "jpg"
         if row["image"] != f"images/{row['trajectory']}/{row['camera']}/{row['frame'] + 1:03d}.{suffix}":
             return "the image is not that of the frame"
+        fault = None if self._folder is None else self._file(self._folder / row["image"], row)
+        every = self._world.render_every
+        if fault or not every or int(hashlib.sha256(row["image"].encode()).hexdigest(), 16) % every:
+            return fault
+        proof.rendered += 1
+        frame = self._world.renderer(episode).look(self._cameras[row["camera"]], place, heading)
+        data = _encoded(frame.rgb, frame.depth, suffix, self._images)
+        return None if hashlib.sha256(data).hexdigest() == row["sha256"] else "the pose shows another image"
+
+    def _file(self, path: Path, row: Row) -> str | None:
+        """Return what is wrong with an image's file."""
+        from PIL import Image
+
+        camera = self._cameras[row["camera"]]
         try:
-            data = (self._folder / row["image"]).read_bytes()
+            data = path.read_bytes()
         except OSError as error:
             return f"the image can't be read: {error.strerror}"
         if len(data) != row["bytes"] or hashlib.sha256(data).hexdigest() != row["sha256"]:
@@ -292,14 +305,7 @@ class _Frames:
                     return "the image has another size"
         except (OSError, SyntaxError) as error:
             return f"the image can't be decoded: {error}"
-        every = self._world.render_every
-        if not every or int(hashlib.sha256(row["image"].encode()).hexdigest(), 16) % every:
-            return None
-        proof.rendered += 1
-        frame = self._world.renderer(episode).look(camera, place, heading)
-        return (
-            None if _encoded(frame.rgb, frame.depth, suffix, self._images) == data else "the pose shows another image"
-        )
+        return None
 
 
 def _encoded(rgb: NDArray[np.uint8], depth: NDArray[np.float32], suffix: str, images: Row) -> bytes:
@@ -330,7 +336,11 @@ def _record(folder: Path) -> dict[str, Any]:
     path = folder / "trajectories.json"
     try:
         found = orjson.loads(path.read_bytes())
-        return {"cameras": dict(found["cameras"]), "config": dict(found["config"])}
+        return {
+            "cameras": dict(found["cameras"]),
+            "config": dict(found["config"]),
+            "images_written": found.get("images_written", True),
+        }
     except FileNotFoundError:
         raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
     except (ValueError, KeyError, TypeError) as error:

@@ -9,15 +9,20 @@ import typer
 
 from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, Inline, NavmeshRoots, Overrides, RetryQuarantined
+from schemas.errors import UsageError
 
 __all__ = ["trajectories"]
 
 
 def trajectories(
-    target: Annotated[
-        str, typer.Argument(metavar="CONFIG|EXPORT", help="YAML configuration of the run, or folder of an export")
-    ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder to write, outside of the export")],
+    target: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="CONFIG|EXPORT",
+            help="YAML configuration of the run, or folder of an export; none with --from-recipe",
+        ),
+    ] = None,
     split: Annotated[str, typer.Option(help="train, val_seen, val_unseen or test")] = "train",
     layout: Annotated[
         list[str] | None,
@@ -29,6 +34,15 @@ def trajectories(
         ),
     ] = None,
     camera: Annotated[str, typer.Option(help="main camera: streamvln, snav or vlnce")] = "streamvln",
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sweep",
+            metavar="KEY=VALUE,…",
+            help="add variants of the main camera: height (metres), pitch (degrees down), hfov (degrees), size "
+            "(WIDTHxHEIGHT), images (rgb, depth); may be repeated, and all combinations are made",
+        ),
+    ] = None,
     walks: Annotated[
         list[str] | None,
         typer.Option("--walks", metavar="KIND", help="gold, oracle or recovery; may be repeated (default: gold)"),
@@ -51,15 +65,49 @@ def trajectories(
     ] = None,
     inline: Inline = False,
     plan: Annotated[bool, typer.Option("--plan", help="only print what would be made and what it would cost")] = False,
+    licensed: Annotated[
+        bool,
+        typer.Option(
+            "--licensed",
+            help="you have accepted the terms of scans whose images must not be passed on (Matterport3D, Gibson), and "
+            "keep the images to yourself",
+        ),
+    ] = False,
+    recipe_only: Annotated[
+        bool,
+        typer.Option(
+            "--recipe-only",
+            help="write what may be shared of any scan: walks, poses, cameras and hashes of images, without images",
+        ),
+    ] = False,
+    from_recipe: Annotated[
+        Path | None,
+        typer.Option(
+            "--from-recipe",
+            metavar="DIR",
+            help="make the walks and images of a recipe again from your own copy of its datasets (--scenes)",
+        ),
+    ] = None,
     retry_quarantined: RetryQuarantined = False,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
     """Make training data from a split: walks, images and poses in the layouts that agents' loaders read."""
+    from condvln.trajectories.cameras import sweep_of
     from jobs.trajectories import Request, make_trajectories, trajectory_config
 
+    if (target is None) == (from_recipe is None):
+        raise UsageError(
+            "name either CONFIG|EXPORT or --from-recipe DIR", remedy="See condvln trajectories --help for examples."
+        )
+    if from_recipe is not None and (layout or sweep or walks or keys or overrides or navmesh_root):
+        raise UsageError(
+            "layouts, cameras and walks are those of the recipe",
+            place="--from-recipe",
+            remedy="Leave out --layout, --sweep, --walks, --walk, --navmesh-root and --set.",
+        )
     request = Request(
-        target=target,
+        target=target or "",
         out=out,
         split=split,
         layouts=tuple(dict.fromkeys(layout or ("streamvln",))),
@@ -72,6 +120,10 @@ def trajectories(
         inline=inline,
         plan=plan,
         retry=retry_quarantined,
+        licensed=licensed,
+        recipe_only=recipe_only,
+        recipe=from_recipe,
+        sweep=sweep_of(sweep or ()),
     )
     report = make_trajectories(request, console(quiet=as_json))
     answer(report, as_json)

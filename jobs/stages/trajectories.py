@@ -10,10 +10,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+import pyarrow as pa
+
 from condvln.manifest import manifest_lines
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sensors import Renderer, open_renderer
 from condvln.trajectories.images import ImageWriter
+from condvln.trajectories.recipe import Recipe
 from condvln.trajectories.tables import WalkRows
 from condvln.trajectories.walks import LeftOut, gold_walk, heading_of, recovery_walks, repeats_of, twin_of
 from factory.rows import logical_hash
@@ -26,10 +29,13 @@ from schemas.config import CameraConfig, LimitsConfig, TrajectoryConfig, Wording
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["STAMP", "FrameStage", "WalkStage", "stamp_path"]
+__all__ = ["NO_IMAGES", "STAMP", "FrameStage", "RecipeStage", "WalkStage", "stamp_path"]
 
 STAMP: Final = "stamp"
 """File of a commit of ``frames`` that says which images it wrote; see `stamp_path`."""
+
+NO_IMAGES: Final = b"none"
+"""Content of `STAMP` where the images were rendered and hashed, and not written."""
 
 _IMAGE_KEYS: Final = frozenset({"goal_slack", "jpeg_quality", "png_level"})
 """Keys of the configuration that the images depend on, and the walks do not."""
@@ -97,11 +103,33 @@ class WalkStage(Stage):
 
 
 @dataclass
+class RecipeStage(Stage):
+    """A recipe → its walks with their poses, as `WalkStage` returns them.
+
+    folder : the folder of the recipe; never keyed
+    """
+
+    folder: Path
+    name: str = "walks"
+    version: int = 1
+    tables: tuple[str, ...] = ("trajectories", "steps", "left_out")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {"recipe": True}
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        tables = Recipe(self.folder).tables(unit.partition, str(unit.payload["scene_id"]))
+        return StageOutput(tables=tables, measures={"frames": float(tables["steps"].num_rows)})
+
+
+@dataclass
 class FrameStage(Stage):
     """Poses → images below `folder`, and one row for each.
 
     folder : the folder of the trajectories; never keyed
     state : the folder of the run's own records; never keyed
+    keep : write the images; otherwise they are only rendered and hashed
     """
 
     folder: Path
@@ -109,6 +137,7 @@ class FrameStage(Stage):
     cameras: Mapping[str, CameraConfig]
     config: TrajectoryConfig
     limits: LimitsConfig = field(default_factory=LimitsConfig)
+    keep: bool = True
     name: str = "frames"
     version: int = 1
     tables: tuple[str, ...] = ("poses",)
@@ -119,22 +148,29 @@ class FrameStage(Stage):
         return {
             "cameras": {name: dump(camera) for name, camera in self.cameras.items()},
             "images": {key: getattr(self.config, key) for key in sorted(_IMAGE_KEYS)},
+            **({} if self.keep else {"keep": False}),
         }
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         steps = upstream["steps"]
+        stamp = self._stamped(unit, steps) if self.keep else NO_IMAGES
+        writer = ImageWriter(self.folder, self._renderer(unit), self.cameras, self.config, keep=self.keep)
+        poses = writer.write(steps)
+        size = sum(poses["bytes"].to_pylist())
+        return StageOutput(
+            tables={"poses": poses},
+            files={STAMP: stamp},
+            measures={"images": float(poses.num_rows), "image_bytes": float(size)},
+        )
+
+    def _stamped(self, unit: Unit, steps: pa.Table) -> bytes:
+        """Write and return the stamp of the images that are about to be written."""
         files: list[JSON] = [[file.path, file.size, file.sha256] for file in unit.inputs]
         stamp = digest([files, self.parameters(unit), self.version, logical_hash(steps)[0]])
         marker = stamp_path(self.state, unit.unit_id)
         marker.parent.mkdir(parents=True, exist_ok=True)
         marker.write_text(stamp)
-        poses = ImageWriter(self.folder, self._renderer(unit), self.cameras, self.config).write(steps)
-        size = sum(poses["bytes"].to_pylist())
-        return StageOutput(
-            tables={"poses": poses},
-            files={STAMP: stamp.encode()},
-            measures={"images": float(poses.num_rows), "image_bytes": float(size)},
-        )
+        return stamp.encode()
 
     def _renderer(self, unit: Unit) -> Renderer:
         source = source_of(unit, self.limits)

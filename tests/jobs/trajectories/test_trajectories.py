@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,68 +19,11 @@ from condvln.evaluation.export_folder import open_export
 from condvln.navigation.follower import Follower
 from condvln.sensors import open_renderer
 from condvln.sources.registry import open_source
-from condvln.trajectories.cameras import PRESETS, hub_cameras
 from condvln.trajectories.images import encode_rgb
 from condvln.trajectories.walks import heading_of
-from jobs.report import Report
-from jobs.trajectories import LAYOUTS, Request, make_trajectories, trajectory_config
-from jobs.trajectory_units import find_target
-from jobs.verify_trajectories import verify_trajectories
-from schemas.config import CameraConfig, Config, TrajectoryConfig
+from jobs.trajectories import Request, make_trajectories, trajectory_config
 from schemas.errors import ProofError, UsageError
-
-TINY = CameraConfig(width=32, height=24, hfov=79.0, max_depth=None, normalized=False)
-WALKS = TrajectoryConfig(walks=("gold", "oracle", "recovery"))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def tiny() -> Iterator[None]:
-    """A camera of few pixels, so that a walk costs milliseconds."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("condvln.trajectories.cameras.PRESETS", {**PRESETS, "tiny": TINY})
-        yield
-
-
-@pytest.fixture(scope="module")
-def asked(made_run: tuple[Config, Report], export: Path, split: str) -> Request:
-    """The request of the tests, over the made dataset's export; the folder is to be replaced."""
-    (source,) = made_run[0].sources
-    return Request(
-        target=str(export),
-        out=Path("unset"),
-        split=split,
-        camera="tiny",
-        config=WALKS,
-        layouts=LAYOUTS,
-        scenes=(f"replicacad={source.root}",),
-        inline=True,
-    )
-
-
-def to(asked: Request, out: Path, **changes: Any) -> Request:
-    return Request(**{**{name: getattr(asked, name) for name in asked.__dataclass_fields__}, "out": out, **changes})
-
-
-@pytest.fixture(scope="module")
-def made(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Trajectories of the whole split; read only."""
-    out = tmp_path_factory.mktemp("trajectories") / "out"
-    assert make_trajectories(to(asked, out)).exit_code == 0
-    return out
-
-
-def rows(folder: Path, table: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = pq.read_table(folder / f"{table}.parquet").to_pylist()
-    return found
-
-
-def content(folder: Path) -> dict[str, str]:
-    """Hash of every file, without the run's own records."""
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and ".condvln" not in path.parts
-    }
+from tests.jobs.trajectories.made import TINY, WALKS, content, proven, rows, to
 
 
 def test_every_walk_replays_to_its_poses_and_ends_at_the_goal(asked: Request, made: Path) -> None:
@@ -203,10 +145,6 @@ def test_pairs_of_cameras_are_internvla_n1_s(made: Path) -> None:
     assert max(goals) > 3
 
 
-def proven(asked: Request, folder: Path, **options: Any) -> Report:
-    return verify_trajectories(find_target(asked.target, asked.split, asked.scenes), folder, **options)
-
-
 def test_trajectories_are_proven(asked: Request, made: Path) -> None:
     report = proven(asked, made, render_every=100)
     assert report.document["faults"] == []
@@ -291,8 +229,3 @@ def test_a_plan_makes_nothing(asked: Request, made: Path, tmp_path: Path) -> Non
     record = json.loads((made / "trajectories.json").read_bytes())
     assert plan["episodes"] == record["episodes"]
     assert record["frames"] / 2 < plan["frames"] < record["frames"] * 2
-
-
-def test_the_level_camera_of_a_pair_is_the_main_one() -> None:
-    cameras = hub_cameras("streamvln", ("internvla-n1",))
-    assert sorted(cameras) == ["depth.125cm_30deg", "rgb", "rgb.125cm_30deg"]

@@ -1,0 +1,188 @@
+"""Recipes of trajectories: their walks, poses, cameras and hashes, from which the images can be made again.
+
+Every folder of trajectories holds its recipe. A recipe may come from somebody else, so everything in it is checked
+before it is used.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple
+
+import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from condvln.trajectories.cameras import MAIN
+from condvln.trajectories.images import image_path
+from schemas.config import CameraConfig, TrajectoryConfig
+from schemas.errors import FormatError, MissingFileError
+from schemas.trajectory_tables import STEPS, TRAJECTORY_TABLES
+
+__all__ = ["RECIPE_FILES", "RECORD", "Recipe", "RecipeRecord", "RecipeScene"]
+
+RECORD: Final = "trajectories.json"
+"""The folder's own record: layouts, cameras, configuration, counts and versions. It is written last."""
+
+RECIPE_FILES: Final = ("README.md", "left_out.parquet", "poses.parquet", RECORD, "trajectories.parquet")
+"""Files of a folder of trajectories that hold nothing of the scenes' images."""
+
+_REMEDY: Final = "Ask for the recipe again."
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
+SplitText = Annotated[str, Field(pattern=r"^[a-z_]{1,20}$")]
+CameraName = Annotated[str, Field(pattern=r"^(rgb|depth)(\.[A-Za-z0-9_.-]{1,60})?$")]
+
+
+class RecipeRecord(BaseModel):
+    """What ``trajectories.json`` says of how images are made.
+
+    scene_files : hash over the source files of each scene, by ``<family>/<scene>``
+    """
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    split: SplitText
+    layouts: tuple[str, ...]
+    cameras: dict[CameraName, CameraConfig]
+    config: TrajectoryConfig
+    export_snapshot: str = ""
+    scene_files: dict[str, str] = {}
+    libraries: dict[str, str] = {}
+
+
+class RecipeScene(NamedTuple):
+    """Numbers of episodes, and of frames that are rendered, of one scene of a recipe."""
+
+    episodes: int
+    frames: int
+
+
+class Recipe:
+    """A recipe on disk.
+
+    Parameters
+    ----------
+    folder : a folder of trajectories, with or without images
+
+    Raises
+    ------
+    MissingFileError, FormatError : the folder holds no recipe, or its record is damaged
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        path = folder / RECORD
+        try:
+            self.record = RecipeRecord.model_validate(orjson.loads(path.read_bytes()))
+        except FileNotFoundError:
+            raise MissingFileError("the folder holds no recipe", where=folder, remedy=_REMEDY) from None
+        except (ValueError, ValidationError) as error:
+            raise FormatError(f"not a record of trajectories ({error})", where=path, remedy=_REMEDY) from None
+        if MAIN not in self.record.cameras:
+            raise FormatError(f"the camera {MAIN!r} is missing", where=path, place="cameras", remedy=_REMEDY)
+
+    @cached_property
+    def scenes(self) -> dict[tuple[str, str], RecipeScene]:
+        """The scenes by family and id, counted.
+
+        Raises
+        ------
+        MissingFileError, FormatError : a table is missing or damaged
+        """
+        frames: defaultdict[tuple[str, str], int] = defaultdict(int)
+        episodes: defaultdict[tuple[str, str], set[int]] = defaultdict(set)
+        for name in ("left_out", "poses"):
+            scenes = self._read(name, columns=["source", "scene_id"]).group_by(["source", "scene_id"]).aggregate([])
+            frames |= {(row["source"], row["scene_id"]): 0 for row in scenes.to_pylist()}
+        columns = ["source", "scene_id", "episode_id", "trajectory", "frames_of", "n_frames"]
+        for row in self._read("trajectories", columns=columns).to_pylist():
+            scene = row["source"], row["scene_id"]
+            episodes[scene].add(row["episode_id"])
+            frames[scene] += row["n_frames"] if row["frames_of"] == row["trajectory"] else 0
+        return {scene: RecipeScene(len(episodes[scene]), count) for scene, count in frames.items()}
+
+    def tables(self, family: str, scene_id: str) -> dict[str, pa.Table]:
+        """Return the tables ``trajectories``, ``steps`` and ``left_out`` of one scene.
+
+        Raises
+        ------
+        FormatError : rows contradict each other, or a name is not that of a walk or an image
+        """
+        found = {name: self._scene(name, family, scene_id) for name in TRAJECTORY_TABLES}
+        poses = found.pop("poses")
+        for fault in self._faults(found["trajectories"].to_pylist(), poses):
+            raise FormatError(fault, where=self.folder, place=f"{family}/{scene_id}", remedy=_REMEDY)
+        main = poses.filter(pc.equal(poses["camera"], MAIN)).select(STEPS.names)
+        found["steps"] = main.sort_by([("trajectory", "ascending"), ("frame", "ascending")]).cast(STEPS)
+        return found
+
+    def hashes(self, family: str, scene_id: str) -> dict[str, str]:
+        """Return the SHA-256 of each image of a scene, by path."""
+        poses = self._scene("poses", family, scene_id)
+        return dict(zip(poses["image"].to_pylist(), poses["sha256"].to_pylist(), strict=True))
+
+    def _faults(self, walks: list[dict[str, Any]], poses: pa.Table) -> Iterator[str]:
+        """Yield what is wrong with the rows of a scene."""
+        rows: dict[str, list[dict[str, Any]]] = {}
+        columns = ["trajectory", "episode_id", "frame", "camera", "image", "action", "executed", "position", "heading"]
+        for pose in poses.select(columns).to_pylist():
+            rows.setdefault(pose["trajectory"], []).append(pose)
+        own = {walk["trajectory"]: walk for walk in walks if walk["frames_of"] == walk["trajectory"]}
+        if len({walk["trajectory"] for walk in walks}) != len(walks) or rows.keys() != own.keys():
+            yield "trajectories.parquet and poses.parquet have different walks"
+            return
+        for walk in walks:
+            name = walk["trajectory"]
+            if not _NAME.fullmatch(name):
+                yield f"{name!r} is not the name of a walk"
+            elif walk["frames_of"] not in own:
+                yield f"{name}: the images of {walk['frames_of']!r} are not there"
+            elif any(len(walk[key]) != walk["n_frames"] for key in ("actions", "executed", "repeats")):
+                yield f"{name}: actions, repeats and frames differ in number"
+        for name, walk in own.items():
+            yield from self._walk_faults(name, walk, rows[name])
+
+    def _walk_faults(self, name: str, walk: Mapping[str, Any], rows: list[dict[str, Any]]) -> Iterator[str]:
+        count = walk["n_frames"]
+        wanted = {(frame, camera) for frame in range(count) for camera in self.record.cameras}
+        if len(rows) != len(wanted) or {(row["frame"], row["camera"]) for row in rows} != wanted:
+            yield f"{name}: a frame has no pose, or more than one"
+            return
+        places: dict[int, tuple[Any, ...]] = {}
+        for row in rows:
+            frame = row["frame"]
+            pose = (*row["position"].values(), row["heading"])
+            if row["image"] != image_path(name, row["camera"], frame):
+                yield f"{name}: {row['image']!r} is not the path of frame {frame}"
+            if (row["action"], row["executed"]) != (walk["actions"][frame], walk["executed"][frame]):
+                yield f"{name}: frame {frame} has another action than the walk"
+            if places.setdefault(frame, pose) != pose or not np.isfinite(np.array(pose, np.float64)).all():
+                yield f"{name}: the cameras of frame {frame} have different poses, or none"
+
+    def _scene(self, name: str, family: str, scene_id: str) -> pa.Table:
+        table = self._read(name, filters=[("source", "=", family), ("scene_id", "=", scene_id)])
+        return table.drop_columns(["source"])
+
+    def _read(self, name: str, **options: Any) -> pa.Table:
+        path = self.folder / f"{name}.parquet"
+        schema = TRAJECTORY_TABLES[name].append(pa.field("source", pa.string(), nullable=False))
+        try:
+            table = pq.read_table(path, **options)
+            wanted = pa.schema([schema.field(column) for column in options.get("columns", schema.names)])
+            table = table.select(wanted.names).cast(wanted)
+            table.validate(full=True)
+        except FileNotFoundError:
+            raise MissingFileError(f"{name}.parquet is missing", where=self.folder, remedy=_REMEDY) from None
+        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+            raise FormatError(f"not a table of trajectories ({error})", where=path, remedy=_REMEDY) from None
+        empty = [field.name for field in wanted if not field.nullable and table[field.name].null_count]
+        if empty:
+            raise FormatError("a value is missing", where=path, place=empty[0], remedy=_REMEDY)
+        return table

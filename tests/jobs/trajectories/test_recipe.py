@@ -1,0 +1,197 @@
+"""Recipes: what may be shared of scans whose images may not, and the same images made again from it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from condvln.samples import make_samples
+from condvln.sources.family import FAMILIES
+from condvln.trajectories.licences import refuse_unlicensed
+from condvln.trajectories.recipe import RECIPE_FILES, Recipe
+from jobs.trajectories import Request, make_trajectories
+from schemas.errors import FormatError, MissingFileError, ProofError, UsageError
+from tests.jobs.trajectories.made import TINY, content, proven, rows, to
+
+
+def images(folder: Path) -> dict[str, str]:
+    return {path: found for path, found in content(folder).items() if path.startswith("images/")}
+
+
+@pytest.fixture(scope="module")
+def recipe(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recipe of one gold walk and its twin."""
+    folder = tmp_path_factory.mktemp("recipe")
+    for name in RECIPE_FILES:
+        shutil.copy(made / "recipe" / name, folder)
+    walk = min((row for row in rows(made, "trajectories") if row["kind"] == "gold"), key=lambda row: row["n_frames"])
+    for name, column in (("trajectories", "frames_of"), ("poses", "trajectory")):
+        table = pq.read_table(folder / f"{name}.parquet")
+        pq.write_table(table.filter(pc.equal(table[column], walk["trajectory"])), folder / f"{name}.parquet")
+    return folder
+
+
+def again(asked: Request, recipe: Path, out: Path, **changes: Any) -> Request:
+    return to(asked, out, target="", recipe=recipe, **changes)
+
+
+def test_a_recipe_gives_the_same_images(asked: Request, made: Path, recipe: Path, tmp_path: Path) -> None:
+    report = make_trajectories(again(asked, recipe, tmp_path / "out"))
+    found = images(tmp_path / "out")
+    assert found
+    assert found.items() <= images(made).items()
+    assert set(found) == {row["image"] for row in rows(recipe, "poses")}
+    assert (report.exit_code, report.document["images_of_the_recipe"]) == (0, len(found))
+    for name in ("trajectories", "poses"):
+        assert rows(tmp_path / "out", name) == rows(recipe, name)
+    # Without images the hashes are the same.
+    bare = again(asked, recipe, tmp_path / "bare", recipe_only=True)
+    assert make_trajectories(to(bare, bare.out, plan=True)).document["plan"]["episodes"] == 1
+    make_trajectories(bare)
+    assert sorted(content(tmp_path / "bare")) == sorted(RECIPE_FILES)
+    assert rows(tmp_path / "bare", "poses") == rows(recipe, "poses")
+
+
+def test_images_unlike_the_recipe_are_counted(asked: Request, recipe: Path, tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs"
+    shutil.copytree(recipe, theirs)
+    poses = rows(recipe, "poses")
+    rewrite(theirs, "poses", lambda found: found[3].update(sha256="0" * 64))
+    record = json.loads((recipe / "trajectories.json").read_bytes())
+    record["libraries"]["pillow"] = "1.0"
+    (scene,) = {row["scene_id"] for row in poses}
+    record["scene_files"][f"replicacad/{scene}"] = "0" * 64
+    (theirs / "trajectories.json").write_text(json.dumps(record))
+    report = make_trajectories(again(asked, theirs, tmp_path / "out", recipe_only=True))
+    assert report.exit_code == ProofError.exit_code
+    assert report.document["images_unlike_the_recipe"] == 1
+    assert report.document["scenes_unlike_the_recipe"] == [f"replicacad/{scene}"]
+    assert poses[3]["image"] in "\n".join(report.lines)
+    assert "pillow 1.0 (here" in "\n".join(report.lines)
+
+
+@pytest.mark.soak
+def test_a_whole_folder_is_made_again_from_its_recipe(asked: Request, made: Path, tmp_path: Path) -> None:
+    """All files but the record and the read-me's links, which name the run."""
+    assert make_trajectories(again(asked, made / "recipe", tmp_path / "out")).exit_code == 0
+    ours, theirs = content(tmp_path / "out"), content(made)
+    for folder in ("", "recipe/"):
+        assert ours.pop(f"{folder}trajectories.json") != theirs.pop(f"{folder}trajectories.json")
+    assert ours == theirs
+    assert proven(asked, tmp_path / "out").document["faults"] == []
+
+
+def test_a_recipe_alone_is_proven(asked: Request, made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made / "recipe", tmp_path / "recipe")
+    record = json.loads((made / "trajectories.json").read_bytes())
+    (tmp_path / "recipe" / "trajectories.json").write_text(json.dumps(record | {"images_written": False}))
+    report = proven(asked, tmp_path / "recipe", render_every=300)
+    assert report.document["faults"] == []
+    assert report.document["rendered"] > 1
+
+
+def test_images_of_licensed_scans_are_refused(asked: Request, recipe: Path, tmp_path: Path) -> None:
+    assert {name for name, family in FAMILIES.items() if family.licensed} == {"gibson", "mp3d"}
+    with pytest.raises(UsageError, match=r"Gibson and 3D Scene Graph and Matterport3D.*--licensed"):
+        refuse_unlicensed(["procthor", "mp3d", "gibson"])
+    refuse_unlicensed(["procthor", "unheard-of"])
+    scan = tmp_path / "scan"
+    shutil.copytree(recipe, scan)
+    for name in ("trajectories", "poses", "left_out"):
+        table = pq.read_table(recipe / f"{name}.parquet")
+        sources = pa.array(["gibson"] * table.num_rows, pa.string())
+        field = table.schema.field("source")
+        pq.write_table(
+            table.set_column(table.schema.get_field_index("source"), field, sources), scan / f"{name}.parquet"
+        )
+    make_samples(tmp_path / "gibson", family="gibson", scenes=1, seed=1)
+    request = again(asked, scan, tmp_path / "out", scenes=(f"gibson={tmp_path / 'gibson'}",))
+    with pytest.raises(UsageError, match="--licensed"):
+        make_trajectories(request)
+    assert not (tmp_path / "out").exists()
+    # With the flag, and for a recipe, only the scene is missing.
+    for changes in ({"licensed": True}, {"recipe_only": True}):
+        assert make_trajectories(to(request, tmp_path / f"{[*changes]}", **changes)).document["counts"]["quarantined"]
+
+
+def test_the_folder_says_its_terms(made: Path) -> None:
+    text = (made / "README.md").read_text()
+    record = json.loads((made / "trajectories.json").read_bytes())
+    assert record["licences"]["replicacad"]["terms"] == FAMILIES["replicacad"].terms
+    assert record["licences"]["replicacad"]["images_may_be_shared"]
+    assert FAMILIES["replicacad"].credit in text
+    assert sorted(path.name for path in (made / "recipe").iterdir()) == sorted(RECIPE_FILES)
+    assert (made / "recipe" / "poses.parquet").samefile(made / "poses.parquet")
+
+
+def rewrite(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], object]) -> None:
+    found = rows(folder, table)
+    change(found)
+    schema = pq.read_schema(folder / f"{table}.parquet")
+    pq.write_table(pa.Table.from_pylist(found, schema=schema), folder / f"{table}.parquet")
+
+
+def every(found: list[dict[str, Any]], **values: Any) -> None:
+    for row in found:
+        row.update(values)
+
+
+def record_with(**values: Any) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        path = folder / "trajectories.json"
+        path.write_text(json.dumps(json.loads(path.read_bytes()) | values))
+
+    return change
+
+
+HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a walk outside": (
+        lambda f: [
+            rewrite(f, "trajectories", lambda found: every(found, trajectory="../../out", frames_of="../../out")),
+            rewrite(f, "poses", lambda found: every(found, trajectory="../../out")),
+        ],
+        "have different walks|not the name of a walk",
+    ),
+    "an image outside": (
+        lambda f: rewrite(f, "poses", lambda found: found[0].update(image="../../x.jpg")),
+        "is not the path of frame",
+    ),
+    "a camera outside": (record_with(cameras={"../rgb": TINY.model_dump()}), "not a record of trajectories"),
+    "no main camera": (record_with(cameras={"rgb.x": TINY.model_dump()}), "the camera 'rgb' is missing"),
+    "a split outside": (record_with(split="../../x"), "not a record of trajectories"),
+    "a frame twice": (lambda f: rewrite(f, "poses", lambda found: found.append(dict(found[0]))), "has no pose"),
+    "a frame lost": (lambda f: rewrite(f, "poses", lambda found: found.pop()), "has no pose"),
+    "no number": (
+        lambda f: rewrite(f, "poses", lambda found: every(found, heading=float("nan"))),
+        "have different poses, or none",
+    ),
+    "an action": (lambda f: rewrite(f, "poses", lambda found: every(found, executed=7)), "has another action"),
+    "a table cut": (lambda f: (f / "poses.parquet").write_bytes(b"PAR1"), "not a table of trajectories"),
+    "a record cut": (lambda f: (f / "trajectories.json").write_bytes(b"{"), "not a record of trajectories"),
+    "no tables": (lambda f: (f / "trajectories.parquet").unlink(), "trajectories.parquet is missing"),
+    "nothing": (lambda f: (f / "trajectories.json").unlink(), "holds no recipe"),
+}
+
+
+@pytest.mark.parametrize("fault", HOSTILE)
+def test_a_hostile_recipe_is_refused(fault: str, recipe: Path, tmp_path: Path) -> None:
+    change, words = HOSTILE[fault]
+    theirs = tmp_path / "theirs"
+    shutil.copytree(recipe, theirs)
+    change(theirs)
+    with pytest.raises((FormatError, MissingFileError), match=words):
+        read_all(theirs)
+
+
+def read_all(folder: Path) -> None:
+    recipe = Recipe(folder)
+    for family, scene in recipe.scenes:
+        recipe.tables(family, scene)
