@@ -104,8 +104,10 @@ class EvaluationReport:
         tables: Sequence[Table],
         handed_in: Sequence[HandedIn] = (),
         asked: Sequence[str] = (),
+        twins: Sequence[Evaluation] = (),
     ) -> None:
         self.evaluations = evaluations
+        self.twins = twins
         self.tables = tables
         self.handed_in = handed_in
         self._asked = tuple(asked) or tuple(name for name in MAIN_TABLES if name in {t.name for t in tables})
@@ -266,7 +268,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
         raise UsageError(
             f"there is no table {unknown[0]!r}", place="--table", remedy=f"Choose one of: {', '.join(names)}."
         )
-    return EvaluationReport(evaluations, tables, handed_in, asked.tables)
+    return EvaluationReport(evaluations, tables, handed_in, asked.tables, twins)
 
 
 def _handed_in(path: Path, evaluation: Evaluation) -> HandedIn:

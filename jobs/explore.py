@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
 
-from condvln.evaluation.episode_stats import is_episode_stats, read_episode_stats
-from condvln.evaluation.predictions import Prediction, read_predictions
-from condvln.evaluation.render import as_document
-from condvln.evaluation.split import SplitOptions, evaluate_split
-from condvln.evaluation.tables import all_tables
 from condvln.explorer import Site, episode_document, plan_document
 from condvln.explorer.graph import graph_document
 from condvln.explorer.views import first_views, pictures
-from condvln.explorer.walks import AgentResults, walk_document
 from condvln.export.contents import read_document
 from condvln.formats.json_entries import json_lines
-from condvln.manifest import manifest_lines, manifest_paths
+from condvln.manifest import manifest_paths
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sources.source import hash_file
 from condvln.world import open_world
+from jobs.explore_agents import ExploredAgents, ScoredSplit, scored_splits
 from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
 from jobs.explore_statistics import Counts, former_cells, statistics_document
 from jobs.pipeline import open_configured
 from jobs.report import Report
 from schemas.config import Config
-from schemas.errors import InputError, UsageError
+from schemas.errors import UsageError
 
 __all__ = ["Exploration", "explore"]
 
@@ -46,6 +41,7 @@ class Exploration:
     export : folder of the export; None where the configuration has none
     config : the configuration whose snapshot is shown; None to show the export alone
     predictions : a file an agent and split; its split is found by its ids
+    scored : agents that were scored already
     roots : folders of datasets with navmeshes that the export does not ship
     before : an export with which the counts are compared
     views : number of episodes of each scene with pictures and places of first sight; they need the sources' files
@@ -55,18 +51,10 @@ class Exploration:
     export: Path | None
     config: Config | None = None
     predictions: tuple[Path, ...] = ()
+    scored: tuple[ScoredSplit, ...] = ()
     roots: tuple[Path, ...] = ()
     before: Path | None = None
     views: int = 0
-
-
-@dataclass
-class _Agents:
-    """Results and walks of all agents, and the tables of each split."""
-
-    results: list[AgentResults] = field(default_factory=list)
-    walks: dict[str, dict[str, Prediction]] = field(default_factory=dict)
-    tables: list[Document] = field(default_factory=list)
 
 
 def explore(asked: Exploration) -> Report:
@@ -88,7 +76,9 @@ def explore(asked: Exploration) -> Report:
     scenes = (
         snapshot_scenes(asked.config, export) if asked.config is not None else export_scenes(_folder(export), roots)
     )
-    agents = _agents(export, asked.predictions, roots)
+    agents = ExploredAgents()
+    for scored in (*asked.scored, *(() if export is None else scored_splits(export, asked.predictions, roots))):
+        agents.add(scored)
     if asked.views and asked.config is None:
         raise UsageError("an export has nothing to see", place="--views", remedy="Name its configuration.")
     former = None if asked.before is None else former_cells(asked.before)
@@ -114,7 +104,12 @@ def _folder(export: Path | None) -> Path:
 
 
 def _add(
-    site: Site, scene: ExploredScene, proofs: _Certificates, agents: _Agents, folder: NavmeshFolder, asked: Exploration
+    site: Site,
+    scene: ExploredScene,
+    proofs: _Certificates,
+    agents: ExploredAgents,
+    folder: NavmeshFolder,
+    asked: Exploration,
 ) -> None:
     documents = [
         episode_document(row, facts=scene.facts, certificate=proofs.of(row)) for row in scene.rows
@@ -129,7 +124,7 @@ def _add(
         documents,
         plan=plan_document(scene.scene, scene.tile, scene.seeable),
         graph=None if scene.relations is None else graph_document(scene.relations, ids),
-        walks=_walks(scene.rows, agents, folder),
+        walks=agents.walks_of(scene.rows, folder),
     )
 
 
@@ -143,26 +138,6 @@ def _look(site: Site, scene: ExploredScene, documents: Sequence[Document], confi
         document["views"] = first_views(document, world.view, config.places, config.episodes)
         for k, (caption, data) in enumerate(pictures(document, world.renderer)):
             document["frames"].append({"file": site.add_picture(f"{document['id']}-{k}", data), "caption": caption})
-
-
-def _walks(rows: Sequence[Mapping[str, Any]], agents: _Agents, folder: NavmeshFolder) -> dict[str, Document]:
-    found: dict[str, Document] = {}
-    for row in rows:
-        name = str(row["episode_id"])
-        by_agent = {}
-        for agent, walks in agents.walks.items():
-            prediction = walks.get(name) or walks.get(str(row.get("episode_hash")))
-            if prediction is None or not len(prediction.positions):
-                continue
-            goals = next(leaf["goals"] for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
-            try:
-                pathfinder = folder.load(row["navmesh"], row["navmesh_sha256"], f"episode {name}")
-            except InputError:
-                pathfinder = None  # straight distances are shown, and called so
-            by_agent[agent] = walk_document(prediction, goals, pathfinder)
-        if by_agent:
-            found[name] = by_agent
-    return found
 
 
 class _Certificates:
@@ -181,44 +156,3 @@ class _Certificates:
         text = self._lines.get(str(row["episode_id"]))
         found: Document | None = None if text is None else orjson.loads(text)
         return found
-
-
-def _agents(export: Path | None, predictions: Sequence[Path], roots: Sequence[Path]) -> _Agents:
-    agents = _Agents()
-    if export is None or not predictions:
-        return agents
-    split_of = {str(name): path.stem for path in manifest_paths(export) for name in _ids(path)}
-    by_split: dict[str, list[Path]] = {}
-    for path in predictions:
-        by_split.setdefault(_split(path, split_of), []).append(path)
-    for split, paths in sorted(by_split.items()):
-        evaluations, tasks = evaluate_split(export, split, paths, SplitOptions(navmesh_roots=tuple(roots)))
-        agents.results += [AgentResults.of(evaluation, split) for evaluation in evaluations]
-        agents.tables += [{"split": split, **as_document(table)} for table in all_tables(evaluations, tasks)]
-        for evaluation, path in zip(evaluations, paths, strict=True):
-            if not is_episode_stats(path):
-                walks = agents.walks.setdefault(evaluation.agent, {})
-                walks.update({one.episode_id: one for one in read_predictions(path)})
-    return agents
-
-
-def _ids(manifest: Path) -> Iterator[object]:
-    for line in manifest_lines(manifest):
-        fields = line.fields()
-        yield fields.get("episode_id")
-        yield fields.get("episode_hash") or fields.get("episode_id")
-
-
-def _split(path: Path, split_of: Mapping[str, str]) -> str:
-    """Return the split that a file of predictions belongs to: the split of the first episode in the file that the
-    export has.
-    """
-    ids = read_episode_stats(path) if is_episode_stats(path) else (one.episode_id for one in read_predictions(path))
-    for name in ids:
-        if name in split_of:
-            return split_of[name]
-    raise UsageError(
-        "no episode of the export is in this file of predictions",
-        place=str(path),
-        remedy="Name predictions that were made on this export.",
-    )

@@ -23,6 +23,7 @@ from condvln.evaluation.task import Task
 __all__ = [
     "BRANCH_COLUMNS",
     "MAIN_COLUMNS",
+    "ORACLE_TEXT",
     "TWIN_COLUMNS",
     "Cell",
     "Column",
@@ -258,7 +259,7 @@ def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0
     """
     told = [
         (
-            replace(oracle, agent=f"{original.agent} (oracle text)"),
+            replace(oracle, agent=original.agent + ORACLE_TEXT),
             replace(original, agent=original.agent + _CONDITIONAL),
         )
         for original, oracle in pairs
@@ -274,6 +275,8 @@ def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0
 
 
 _CONDITIONAL: Final = " (conditions)"
+ORACLE_TEXT: Final = " (oracle text)"
+"""What follows an agent's name in results on the oracle-linear twin."""
 
 
 def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from typing import Any, Final
@@ -9,13 +10,14 @@ from typing import Any, Final
 from lark import Lark, Tree
 from lark.exceptions import LarkError
 
-from condvln.instructions.language import Slot, language
+from condvln.instructions.language import Language, Slot, language
 from condvln.instructions.parsing import grammar_source
 from schemas.program import Program
 
 __all__ = ["clauses"]
 
 LANGUAGES: Final = ("en", "es")
+Span = tuple[int, int]
 Clause = tuple[int, int, int, int]
 """Beginning and end in the text, index of the condition or −1, index of the leaf or −1."""
 
@@ -27,17 +29,39 @@ def clauses(text: str, program: Program) -> list[Clause]:
     A clause of a condition is a statement, a question or an answer; a clause of a leaf has all its stops.
     """
     for code in LANGUAGES:
-        words = language(code)
         lowered = text.lower()
-        # A position in the parsed text is one in the text itself only where neither changes its length.
-        if len(lowered) != len(text) or words.expanded(lowered) != lowered:
+        if len(lowered) != len(text):  # a position in the lowered text would be another one in the text
             continue
+        whole, places = _expanded(lowered, language(code))
         try:
-            tree = _parser(code).parse(lowered)
+            tree = _parser(code).parse(whole)
         except LarkError:
             continue
-        return sorted(_found(tree, program, code))
+        return _apart(sorted(_found(tree, program, code)), places)
     return []
+
+
+def _expanded(text: str, words: Language) -> tuple[str, list[Span]]:
+    """Return `text` as :meth:`Language.expanded` does, and for each of its characters the span in `text` that it comes
+    from: one character, or a whole contraction ("del" is parsed as "de el").
+    """
+    apart = {together: one for one, together in words.contractions.items()}
+    whole, places, done = "", [], 0
+    for found in re.finditer(rf"\b({'|'.join(apart)})\b", text) if apart else ():
+        whole += text[done : found.start()] + apart[found[0]]
+        places += [(k, k + 1) for k in range(done, found.start())]
+        places += [found.span()] * len(apart[found[0]])
+        done = found.end()
+    return whole + text[done:], places + [(k, k + 1) for k in range(done, len(text))]
+
+
+def _apart(parsed: list[Clause], places: list[Span]) -> list[Clause]:
+    """Return clauses of the expanded text as ones of the text itself. A contraction belongs to the earlier clause."""
+    found, done = [], 0
+    for start, end, condition, leaf in parsed:
+        begin, done = max(done, places[start][0]), places[end - 1][1]
+        found.append((begin, done, condition, leaf))
+    return found
 
 
 @cache

@@ -182,11 +182,18 @@ def evaluate(
 ) -> None:
     """Score agents' predictions: SR, SPL, nDTW, BSA, CSR and the branch taken, with confidence intervals."""
     from condvln.evaluation.measures import DistanceMode
+    from condvln.manifest import manifest_paths
     from jobs.evaluate import ALL_TABLES, Question, evaluate_predictions
 
     if distance not in ("geodesic", "euclidean", "euclidean-any-order"):
         raise UsageError(
             f"--distance {distance!r} is not a distance", remedy="Say geodesic, euclidean or euclidean-any-order."
+        )
+    if html is not None and not manifest_paths(export):
+        raise UsageError(
+            "--html shows the episodes of an export",
+            place=str(export),
+            remedy="This folder has no manifests: leave it out.",
         )
     asked = Question(
         export,
@@ -209,8 +216,9 @@ def evaluate(
             write(target)
     if html is not None:
         from jobs.explore import Exploration, explore
+        from jobs.explore_agents import asked_split
 
-        explore(Exploration(html, export, None, tuple(predictions), tuple(navmesh_root or ())))
+        explore(Exploration(html, export, roots=asked.roots, scored=(asked_split(asked, report),)))
     if latex or markdown:
         for warning in report.warnings:
             console().print(f"warning: {warning}", markup=False, soft_wrap=True)

@@ -21,10 +21,11 @@ from condvln.evaluation.export_folder import open_export
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.split import split_tasks
 from condvln.evaluation.walker import Observation, walk
+from condvln.explorer.chunks import chunk_content
 from jobs.command import app
 from jobs.report import Report
 from schemas.config import Config
-from schemas.errors import FormatError
+from schemas.errors import FormatError, UsageError
 from tests.strict_loader import read
 
 runner = CliRunner()
@@ -213,6 +214,82 @@ def test_ones_own_agent_walks_and_sees(
 def test_help_names_every_agent() -> None:
     told = "".join(runner.invoke(app, ["walk", "--help"]).output.split())  # lines break anywhere
     assert ",".join(AGENTS) in told
+
+
+def chunks(page: Path) -> dict[str, Any]:
+    return dict(chunk_content(path.read_bytes()) for path in sorted((page / "data").glob("*.js")))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("--distance", "euclidean", "--radius", 2, "--radius", 4, "--oracle-radius", 30, "--fast-dtw"),
+        ("--assume-stop",),
+    ],
+    ids=["plain", "distances", "stop"],
+)
+def test_the_page_has_the_scores_of_its_evaluation(
+    evaluate: Any, split: str, agents: dict[str, Path], tmp_path: Path, options: tuple[Any, ...]
+) -> None:
+    never = json.loads(agents["oracle"].read_text())
+    for poses in never.values():
+        for pose in poses:
+            pose.pop("stop")
+    (tmp_path / "walker.json").write_text(json.dumps(never))
+    files = [tmp_path / "walker.json", agents["always-then"], agents["wrong-branch"]]
+    written = [*files, *options, "--html", tmp_path / "page", "--scores", tmp_path / "scores.jsonl"]
+    tables = documents(evaluate, *written)
+    found = chunks(tmp_path / "page")
+    shown = {table["name"]: table for table in found["agents"]["tables"]}
+    assert [*shown] == [*tables]
+    for name, table in tables.items():
+        assert {key: shown[name][key] for key in table} == table
+        assert shown[name]["split"] == split
+        assert all(len(row) == len(shown[name]["headings"]) for row in shown[name]["cells"])
+    assert ("sweep" in shown) is ("--radius" in options)
+    index = found["index"]
+    assert [agent["name"] for agent in index["agents"]] == [path.stem for path in files]
+    scores = [json.loads(line) for line in (tmp_path / "scores.jsonl").read_text().splitlines()]
+    for agent in index["agents"]:
+        assert agent["splits"] == [split]
+        own = {row["episode_id"]: row for row in scores if row["agent"] == agent["name"]}
+        for k, name in enumerate(index["columns"]["id"]):
+            assert (agent["outcome"][k] == index["outcomes"].index("success")) is (
+                name in own and own[name]["success"] == 1
+            )
+            for measure, values in agent["scores"].items():
+                wanted = own[name][measure] if name in own else None
+                assert values[k] == (None if wanted is None else pytest.approx(wanted, abs=1e-4))
+    rates = {row["agent"]: row["success"]["mean"] for row in shown["main"]["rows"]}
+    assert rates["walker"] == (1.0 if "--assume-stop" in options else 0.0)
+    walks = {name: walk for key, many in found.items() if key.startswith("walks-") for name, walk in many.items()}
+    assert walks
+    assert all(walk.keys() == {path.stem for path in files} for walk in walks.values())
+    assert {walk["walker"]["stopped"] for walk in walks.values()} == {"--assume-stop" in options}
+
+
+def test_the_page_has_the_oracle_twin(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:
+    files = [agents["always-then"], "--oracle", agents["oracle"]]
+    tables = documents(evaluate, *files, "--html", tmp_path / "page")
+    found = chunks(tmp_path / "page")
+    names = [table["name"] for table in found["agents"]["tables"]]
+    assert names == [*tables]
+    assert "twin_main" in names
+    assert [agent["name"] for agent in found["index"]["agents"]] == ["always-then", "always-then (oracle text)"]
+    wanted = {row["agent"]: row["success"]["mean"] for row in tables["twin_main"]["rows"]}
+    for agent in found["index"]["agents"]:
+        own = [outcome for outcome in agent["outcome"] if outcome]
+        rate = sum(outcome == found["index"]["outcomes"].index("success") for outcome in own) / len(own)
+        label = agent["name"] if agent["name"].endswith(")") else f"{agent['name']} (conditions)"
+        assert rate == pytest.approx(wanted[label])
+
+
+def test_a_folder_without_manifests_has_no_page(tmp_path: Path, agents: dict[str, Path]) -> None:
+    words = ["evaluate", str(tmp_path), "val", str(agents["oracle"]), "--html", str(tmp_path / "page")]
+    result = runner.invoke(app, words)
+    assert isinstance(result.exception, UsageError) or result.exit_code == 1
+    assert not (tmp_path / "page").exists()
 
 
 def test_plots_are_pictures(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:

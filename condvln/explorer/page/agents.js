@@ -4,27 +4,10 @@
 {
   const { element, svg, link, count } = explorer;
   const MEASURES = [["success", "SR"], ["bsa_all", "BSA-all"], ["csr_all", "CSR-all"]];
-  const PERCENT = new Set(["success", "oracle_success", "spl", "spl_route", "ndtw", "sdtw", "cls", "bsa", "csr", "bsa_all", "csr_all",
-    "leaf_correct", "wrong_branch", "no_commit", "stopped"]);
-  const HEADINGS = { path_length: "TL, m", navigation_error: "NE, m", oracle_success: "OSR", success: "SR", spl: "SPL", spl_route: "SPL-route",
-    ndtw: "nDTW", sdtw: "SDTW", cls: "CLS", bsa_all: "BSA-all", csr_all: "CSR-all", bsa: "BSA (paper)", csr: "CSR (paper)" };
   const CHART = { width: 300, height: 170, left: 34, bottom: 24 };
 
-  function cell(name, value) {
-    if (value === null || value === undefined) return "–";
-    if (typeof value !== "object") return typeof value === "number" && !Number.isInteger(value) ? value.toFixed(3) : String(value);
-    if (value.mean === null) return "–";
-    const scale = PERCENT.has(name) ? 100 : 1;
-    const text = (value.mean * scale).toFixed(scale === 100 ? 1 : 2);
-    const digits = scale === 100 ? 0 : 1;
-    return value.low === null ? text : `${text} [${(value.low * scale).toFixed(digits)}, ${(value.high * scale).toFixed(digits)}]`;
-  }
-
   function shown(table) {
-    if (!table.rows.length) return "";
-    const names = Object.keys(table.rows[0]);
-    const columns = names.map((name) => (typeof table.rows[0][name] === "string" ? "" : "#") + (HEADINGS[name] || name.replaceAll("_", " ")));
-    return element("div", {}, explorer.table(`${table.title} (${table.split})`, columns, table.rows.map((row) => names.map((name) => cell(name, row[name]))), table.name),
+    return element("div", { "data-split": table.split }, explorer.table(`${table.title} (${table.split})`, table.headings, table.cells, table.name),
       table.note ? element("p", { class: "note" }, table.note) : "");
   }
 
@@ -44,7 +27,7 @@
       for (const row of own) {
         const at = x(String(row[axis]), k);
         const { low, high, mean } = row[measure];
-        node.append(svg("g", { class: `point agent-${k % 4}` }, svg("title", {}, `${agent}, ${axis} ${row[axis]}: ${(mean * 100).toFixed(1)}`),
+        node.append(svg("g", { class: `point agent-${k % 4}` }, svg("title", {}, `${agent}, ${axis} ${row[axis]}: ${(mean * 100).toFixed(1)}${low === null ? "" : ` [${(low * 100).toFixed(1)}, ${(high * 100).toFixed(1)}]`}`),
           low === null ? null : svg("path", { d: `M${at} ${y(low)}V${y(high)}` }), svg("circle", { cx: at, cy: y(mean), r: 3.5 })));
       }
     });
