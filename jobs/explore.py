@@ -41,20 +41,20 @@ class Exploration:
     export : folder of the export; None where the configuration has none
     config : the configuration whose snapshot is shown; None to show the export alone
     predictions : a file an agent and split; its split is found by its ids
-    scored : agents that were scored already
     roots : folders of datasets with navmeshes that the export does not ship
     before : an export with which the counts are compared
     views : number of episodes of each scene with pictures and places of first sight; they need the sources' files
+    scored : agents that were scored already
     """
 
     out: Path
     export: Path | None
     config: Config | None = None
     predictions: tuple[Path, ...] = ()
-    scored: tuple[ScoredSplit, ...] = ()
     roots: tuple[Path, ...] = ()
     before: Path | None = None
     views: int = 0
+    scored: tuple[ScoredSplit, ...] = ()
 
 
 def explore(asked: Exploration) -> Report:
