@@ -26,6 +26,8 @@ __all__ = ["Options", "validate"]
 _SUFFIXES: Final = (".json", ".json.gz")
 _TRUTH: Final = "_gt"
 _SHARDS: Final = "content"
+_FORMS: Final = ("_guide", "_follower", "_bertidx", "_raw")
+"""Ends of names of files that hold one split in several forms: RxR's roles, and R2R's tokens of BERT or of words."""
 # Files in an export's folder, or made by related tools, that hold no episodes.
 _OTHERS: Final = (INDEX, ORIGIN, "croissant.json", "embeddings.json.gz")
 
@@ -62,6 +64,7 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
     findings: list[Finding] = []
     variants: dict[Path, dict[str, tuple[str, Document]]] = {}
     documents: dict[Path, Document] = {}
+    sharded: dict[Path, set[str]] = {}
     for file in files:
         if _is_truth(file):
             continue
@@ -71,9 +74,12 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
         if document is not None:
             documents[file] = document
             folder, split = _place(file)
+            if _is_shard(file):
+                sharded.setdefault(folder, set()).add(split)
             known = variants.setdefault(folder, {})
             if split in known:
-                findings += _joined(known[split][1], document, report.file)
+                shards = _is_shard(file) or split in sharded.get(folder, ())
+                findings += _joined(known[split][1], document, report.file, shards=shards)
             else:
                 known[split] = (report.file, copy.deepcopy(document))
     for file in files:
@@ -101,11 +107,12 @@ def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
 
 
-def _joined(split: Document, shard: Document, file: str) -> Iterator[Finding]:
-    """Merge a shard into its split. Yield a finding for each episode id that is in both, and another finding if the
-    vocabularies differ.
+def _joined(split: Document, shard: Document, file: str, *, shards: bool) -> Iterator[Finding]:
+    """Merge a file into its split. Yield a finding for each episode id that is in both if they are shards, and another
+    finding if the vocabularies differ. Without ``shards`` they are forms of one split, such as ``_raw`` and
+    ``_bertidx``, or guides and followers.
     """
-    for name in sorted(split.starts.keys() & shard.starts.keys()):
+    for name in sorted(split.starts.keys() & shard.starts.keys() if shards else ()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)
     if None not in (split.vocabulary, shard.vocabulary) and split.vocabulary != shard.vocabulary:
         yield Finding(file, "instruction_vocab", "vocabulary-differs", "is not that of the other shards")
@@ -116,6 +123,10 @@ def _files_below(path: Path) -> list[Path]:
     found = [file for file in sorted(path.rglob("*")) if file.name.endswith(_SUFFIXES) and file.is_file()]
     episodes = [file for file in found if file.parent.name != CERTIFICATES]
     return [file for file in episodes if file.name not in _OTHERS and not file.name.startswith(".")]
+
+
+def _is_shard(file: Path) -> bool:
+    return file.parent.name == _SHARDS
 
 
 def _is_truth(file: Path) -> bool:
@@ -137,7 +148,9 @@ def _place(file: Path) -> tuple[Path, str]:
     folder = file.parent
     if folder.name == _SHARDS:
         return folder.parent.parent, folder.parent.name
-    split = _stem(file).removeprefix("R2R_").removesuffix("_guide").removesuffix("_follower")
+    split = _stem(file).removeprefix("R2R_")
+    for form in _FORMS:
+        split = split.removesuffix(form)
     return (folder.parent, split) if folder.name == split else (folder, split)
 
 

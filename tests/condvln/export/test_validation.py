@@ -153,6 +153,21 @@ def test_followers_of_rxr_are_lawful(exported: Path, tmp_path: Path) -> None:
     assert (finding.code, finding.severity) == ("goals-withheld", "warning")
 
 
+def test_forms_of_one_split_are_no_leak(exported: Path, tmp_path: Path) -> None:
+    """As R2R_VLNCE_v1-2_preprocessed_BERTidx, where ``_raw`` beside ``_bertidx`` was 16,848 errors."""
+    for split in ("train", "test"):
+        document = read(exported / "vlnce" / split / f"{split}.json.gz")
+        write(tmp_path / split / f"{split}_raw.json.gz", document)
+        for episode in document["episodes"]:
+            episode["instruction"]["instruction_tokens"] = [101, 2065, 102] + [0] * 197
+        write(tmp_path / split / f"{split}_bertidx.json.gz", document)
+    assert validate(tmp_path) == []
+    stolen = read(tmp_path / "train" / "train_raw.json.gz")
+    stolen["episodes"][0]["episode_id"] = "7"
+    write(tmp_path / "test" / "test_raw.json.gz", stolen)
+    assert {"scene-leak", "episode-leak"} <= codes(validate(tmp_path))
+
+
 # -- across splits -----------------------------------------------------------------------------------------------------
 
 
@@ -216,6 +231,19 @@ def test_an_empty_guide_is_a_guide(exported: Path, tmp_path: Path) -> None:
     assert codes(validate(tmp_path)) == {"no-episodes"}
     write(tmp_path / "val_unseen_guide.json.gz", {"episodes": [3]})
     assert "wrong-type" in codes(validate(tmp_path))
+
+
+def test_a_test_split_of_r2r_has_starts_alone(tmp_path: Path) -> None:
+    """As R2R_test.json: its 1,391 items were errors."""
+    item = {"scan": "s", "path_id": 1, "path": ["0"], "heading": 1.0, "instructions": ["Go."]}
+    items = [item, {**item, "path_id": 2}]
+    (finding,) = validate(write(tmp_path / "R2R_test.json.gz", items))
+    assert (finding.code, finding.severity) == ("goals-withheld", "warning")
+    for other in ({"path": ["0", "1"]}, {"distance": 4.0}):  # one item that has more: the other one is cut
+        found = validate(write(tmp_path / "R2R_test.json.gz", [item, {**item, "path_id": 2, **other}]))
+        assert "wrong-type" in codes(found)
+        assert errors(found)
+    assert "wrong-type" in codes(validate(write(tmp_path / "R2R_test.json.gz", [{**item, "path": []}])))
 
 
 def test_scans_of_two_r2r_splits_must_differ(tmp_path: Path) -> None:
