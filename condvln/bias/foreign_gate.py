@@ -18,9 +18,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.bias.blocks import NO_GUESS, progressive
 from condvln.bias.clauses import Clauses, Motion, is_conditional, motion, read_clauses
 from condvln.bias.foreign_episodes import ForeignEpisode, read_foreign
-from condvln.bias.learners import NO_GUESS, content_words, progressive, regressed
+from condvln.bias.learners import content_words
+from condvln.bias.regression import regressed
 from condvln.bias.report import BiasReport, Finding
 from condvln.bias.significance import binomial_tail, holm, interval, p_by_scenes
 from condvln.language.measures import words

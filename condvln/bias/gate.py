@@ -17,14 +17,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.bias.blocks import NO_GUESS
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
-from condvln.bias.learners import LEARNED, NO_GUESS
+from condvln.bias.learners import LEARNED
 from condvln.bias.report import ALL, PRESENCE, BiasReport, Finding, Uniformity
 from condvln.bias.significance import binomial_tail, holm, interval, p_by_scenes, p_uniform
 from condvln.collector import no_collection
@@ -134,24 +135,60 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
     source = np.array([view.source for view in views])
     category = np.array([CATEGORIES.index(view.category) for view in views])
     asked = _asked(views)
+    known: dict[bytes, list[_Part]] = {}
     for name, guess in _guesses(views, source).items():
-        for where, what, predicate, inside in _parts(source, category, asked, guess != NO_GUESS):
-            right = guess[inside] == gold[inside]
-            own, scenes = chance[inside], scene[inside]
-            low, high = interval(right, scenes)
+        guessed = guess != NO_GUESS
+        parts = known.get(guessed.tobytes())
+        if parts is None:
+            parts = [_Part.of(*part, chance, scene) for part in _parts(source, category, asked, guessed)]
+            known[guessed.tobytes()] = parts
+        for part in parts:
+            right = guess[part.inside] == gold[part.inside]
+            low, high = interval(right, part.scenes)
             yield Finding(
                 guesser=name,
-                source=where,
-                category=what,
+                source=part.source,
+                category=part.category,
                 episodes=len(right),
-                scenes=len(np.unique(scenes)),
+                scenes=int(part.scenes.max()) + 1,
                 accuracy=float(right.mean()),
-                chance=float(own.mean()),
+                chance=float(part.chance.mean()),
                 low=low,
                 high=high,
-                p=max(binomial_tail(int(right.sum()), Counter(own.tolist())), p_by_scenes(right - own, scenes)),
-                predicate=predicate,
+                p=max(binomial_tail(int(right.sum()), part.trials), p_by_scenes(right - part.chance, part.scenes)),
+                predicate=part.predicate,
             )
+
+
+class _Part(NamedTuple):
+    """A part of the episodes that gets a test of its own.
+
+    inside : indices of the part's episodes; chance : of each; scenes : the scene of each, numbered from 0
+    trials : number of episodes by chance
+    """
+
+    source: str
+    category: str
+    predicate: str
+    inside: NDArray[np.int64]
+    chance: NDArray[np.float64]
+    scenes: NDArray[np.int64]
+    trials: Mapping[float, int]
+
+    @classmethod
+    def of(
+        cls,
+        source: str,
+        category: str,
+        predicate: str,
+        inside: NDArray[np.int64],
+        chance: NDArray[np.float64],
+        scene: NDArray[np.int64],
+    ) -> _Part:
+        """Return the part of the episodes `inside`; `chance` and `scene` are those of all episodes."""
+        own = chance[inside]
+        scenes = np.unique(scene[inside], return_inverse=True)[1]
+        return cls(source, category, predicate, inside, own, scenes, Counter(own.tolist()))
 
 
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:

@@ -4,85 +4,44 @@ predict a leaf.
 
 from __future__ import annotations
 
-import hashlib
 import re
+import sys
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, lru_cache
 from itertools import pairwise, product
-from typing import Final, Protocol, TypeVar
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
+from condvln.bias.blocks import NO_GUESS, progressive
 from condvln.bias.guesser_view import Asked, GuesserView
+from condvln.bias.regression import Guesses, regressed
 from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from schemas.program import SHAPES, Category
 
-__all__ = [
-    "BLOCKS",
-    "LEARNED",
-    "NO_GUESS",
-    "Indices",
-    "Labelled",
-    "Learner",
-    "blocks",
-    "content_words",
-    "leaf_truths",
-    "progressive",
-    "regressed",
-]
+__all__ = ["LEARNED", "Learner", "content_words", "leaf_truths"]
 
-Guesses = NDArray[np.int64]
 Learner = Callable[[Sequence[GuesserView]], Guesses]
 """A learner returns one guess per episode of a source. It learns each block from the blocks before it, so that the
 first block gets `NO_GUESS`.
 """
 
-NO_GUESS: Final = -1
 PRIOR_WEIGHT: Final = 2.0
 """Weight of the prior in observations: a statement seen once should hardly change the estimate."""
-PENALTY: Final = 0.1
-"""Inverse regularisation strength ``C`` of scikit-learn's logistic regression; smaller means stronger
-regularisation.
-"""
 LEAST_EPISODES: Final = 30
 """Smallest number of episodes of a category for which a regression is fitted."""
-LEAST_TEXTS: Final = 2
-"""A word is a feature only if at least this many episodes contain it."""
-MOST_TEXTS: Final = 0.95
-"""A word is a feature only if at most this share of the episodes contains it; a word in every text carries no
-information.
-"""
 WORDS_A_CLASS: Final = 10
 """Width in words of a length class: texts of one class count as equally long."""
 MOST_TIMES: Final = 4
 """Largest count of one word in one text; more occurrences count as this many."""
+TEXTS_KEPT: Final = 16_384
+"""Number of texts whose words are kept for the next guesser."""
 _SENTENCE_END: Final = re.compile(r"(?<=[.?!])\s+")
-ITERATIONS: Final = 50
-TOLERANCE: Final = 1e-3
-"""Gradient at which the optimiser stops; the guesses stop changing much earlier."""
 
-Words = Callable[[GuesserView], Iterable[str]]
-
-
-class Labelled(Protocol):
-    """An example for a regression: its scene and its right answer."""
-
-    @property
-    def scene(self) -> str:
-        """Name shared by the episodes of one scene."""
-        ...
-
-    @property
-    def gold(self) -> int:
-        """The class to predict."""
-        ...
-
-
-_Labelled = TypeVar("_Labelled", bound=Labelled)
+Words = Callable[[GuesserView], Iterable[Hashable]]
+"""The words of a text that a regression learns from; a pair of words is one, too."""
 
 
 @cache
@@ -124,11 +83,13 @@ def _usual_truth(category: Category) -> tuple[float, ...]:
 def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
     """Guess the leaf that was gold most often in the same category."""
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+    seen: defaultdict[str, Counter[int]] = defaultdict(Counter)
+    counted = 0
     for learned, guessed in progressive([view.scene for view in views]):
-        seen: defaultdict[str, Counter[int]] = defaultdict(Counter)
-        for k in learned:
+        for k in learned[counted:].tolist():
             seen[views[k].category][views[k].gold] += 1
-        for k in guessed:
+        counted = len(learned)
+        for k in guessed.tolist():
             counts = seen[views[k].category]
             guesses[k] = max(range(len(views[k].leaves)), key=lambda leaf: (counts[leaf], -leaf))
     return guesses
@@ -144,16 +105,18 @@ def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
+        seen: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
+        counted = 0
         for learned, guessed in progressive([view.scene for view in views]):
-            seen: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
-            for k in learned:
+            for k in learned[counted:].tolist():
                 usual = _usual_truth(views[k].category)
                 for asked, share in zip(views[k].asked, usual, strict=True):
                     counts = seen[key(asked)]
                     counts[asked.truth] += 1.0
                     counts[2] += 1.0 - share
                     counts[3] += share
-            for k in guessed:
+            counted = len(learned)
+            for k in guessed.tolist():
                 guesses[k] = _likeliest(views[k], seen, key)
         return guesses
 
@@ -163,18 +126,18 @@ def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
 def _likeliest(
     view: GuesserView, seen: Mapping[tuple[str, ...], Sequence[float]], key: Callable[[Asked], tuple[str, ...]]
 ) -> int:
-    usual = _usual_truth(view.category)
-    odds = []
-    for asked, share in zip(view.asked, usual, strict=True):
+    ratios = []
+    for asked, share in zip(view.asked, _usual_truth(view.category), strict=True):
         false, true, usual_false, usual_true = seen.get(key(asked), (0.0, 0.0, 0.0, 0.0))
-        odds.append(
+        ratios.append(
             (
-                np.log((false + PRIOR_WEIGHT * (1.0 - share)) / (usual_false + PRIOR_WEIGHT * (1.0 - share))),
-                np.log((true + PRIOR_WEIGHT * share) / (usual_true + PRIOR_WEIGHT * share)),
+                (false + PRIOR_WEIGHT * (1.0 - share)) / (usual_false + PRIOR_WEIGHT * (1.0 - share)),
+                (true + PRIOR_WEIGHT * share) / (usual_true + PRIOR_WEIGHT * share),
             )
         )
-    scores = [sum(odds[k][truth] for k, truth in way) for way in leaf_truths(view.category)]
-    return int(np.argmax(scores))
+    odds = np.log(ratios).tolist()
+    scores = [sum([odds[k][truth] for k, truth in way]) for way in leaf_truths(view.category)]
+    return scores.index(max(scores))
 
 
 def _in_layout(learner: Learner) -> Learner:
@@ -208,55 +171,26 @@ def _regression(words: Words) -> Learner:
     return learner
 
 
-def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[str]]) -> Guesses:
-    """Return the guesses of a multinomial logistic regression that learns from earlier blocks of scenes. Its features
-    are the words that `words` yields for each view.
-    """
-    # Imported here because the import takes a second, and most exports in tests are too small to need it.
-    from sklearn.linear_model import LogisticRegression
-
-    guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-    gold = np.array([view.gold for view in views], dtype=np.int64)
-    features = _features(views, words)
-    for learned, guessed in progressive([view.scene for view in views]):
-        if len(np.unique(gold[learned])) < 2 or features.shape[1] == 0:
-            guesses[guessed] = gold[learned[0]]
-            continue
-        # Newton's method takes a tenth of the time of L-BFGS on these binary features.
-        model = LogisticRegression(C=PENALTY, solver="newton-cg", tol=TOLERANCE, max_iter=ITERATIONS)
-        model.fit(features[learned], gold[learned])
-        guesses[guessed] = model.predict(features[guessed])
-    return guesses
+def _words(view: GuesserView) -> tuple[str, ...]:
+    return _split(view.text)
 
 
-def _features(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[str]]) -> csr_matrix:
-    """Return the feature matrix (episodes, words): 1 where a text contains the word. Very rare and very common words
-    are left out.
-    """
-    index: dict[str, int] = {}
-    rows = [np.unique([index.setdefault(word, len(index)) for word in words(view)]) for view in views]
-    columns = np.concatenate(rows).astype(np.int64)
-    offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
-    counts = np.bincount(columns, minlength=len(index))
-    kept = np.flatnonzero((counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * len(views)))
-    table = csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(views), len(index)))
-    return table[:, kept]
-
-
-def _words(view: GuesserView) -> list[str]:
-    text = view.text.lower()
+@lru_cache(maxsize=TEXTS_KEPT)
+def _split(text: str) -> tuple[str, ...]:
+    """Return the words of a text in lower case; punctuation counts as a word."""
+    text = text.lower()
     for mark in ",.;:?":
         text = text.replace(mark, f" {mark}")
-    return text.split()
+    return tuple(map(sys.intern, text.split()))
 
 
-def _text_words(view: GuesserView) -> Iterator[str]:
+def _text_words(view: GuesserView) -> Iterator[Hashable]:
     """Yield the words and word pairs of a text. Punctuation counts as a word, so that "; if so" differs from "if
     so".
     """
     found = _words(view)
     yield from found
-    yield from (f"{one} {other}" for one, other in pairwise(found))
+    yield from pairwise(found)
 
 
 def _cues(view: GuesserView) -> Iterator[str]:
@@ -276,14 +210,14 @@ def _cues(view: GuesserView) -> Iterator[str]:
         yield from (f"leaf {k} by {label}" for label in leaf.labels[:-1])
 
 
-def _form(view: GuesserView) -> Iterator[str]:
+def _form(view: GuesserView) -> Iterator[Hashable]:
     """Yield the form of a text without its content: length, words other than nouns, which conditions are definite."""
     yield f"{len(view.text.split()) // WORDS_A_CLASS} words"
     for k, asked in enumerate(view.asked):
         yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"
     content = content_words()
     words = [word if word not in content else "_" for word in _words(view)]
-    yield from (f"{one} {other}" for one, other in pairwise(words))
+    yield from pairwise(words)
 
 
 def _voice(view: GuesserView) -> Iterator[str]:
@@ -357,38 +291,3 @@ LEARNED: Final[Mapping[str, Learner]] = {
     "words in place": _regression(_cues),
 }
 """Learning guessers, by their names in reports."""
-
-
-BLOCKS: Final = 10
-"""Number of blocks. The first is only learned from, never guessed."""
-
-Indices = NDArray[np.int64]
-
-
-def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
-    """Split episodes into about `count` blocks of similar size, and return the ascending episode indices of each block.
-
-    All episodes of a scene are in one block; no block is empty.
-
-    Parameters
-    ----------
-    scenes : the scene of each episode
-    """
-    names = sorted(set(scenes), key=lambda name: hashlib.blake2b(name.encode(), digest_size=8).digest())
-    rank = {name: k for k, name in enumerate(names)}
-    place = np.array([rank[scene] for scene in scenes], dtype=np.int64)
-    sizes = np.bincount(place, minlength=len(names))
-    # A scene belongs to the block in which the middle of its episodes falls, so that blocks are about equally large.
-    middles = (np.cumsum(sizes) - sizes / 2) / max(1, sizes.sum())
-    block = np.floor(middles * count).astype(np.int64)
-    found = [np.flatnonzero(block[place] == k) for k in range(count)] if len(place) else []
-    return [indices for indices in found if len(indices)]
-
-
-def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
-    """Yield, for each block after the first, two arrays of episode indices: the episodes of all earlier blocks, to
-    learn from, and the episodes of the block itself, to guess.
-    """
-    parts = blocks(scenes, count)
-    for k in range(1, len(parts)):
-        yield np.concatenate(parts[:k]), parts[k]

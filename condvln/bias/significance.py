@@ -4,20 +4,25 @@ An accuracy above chance may come from luck on single episodes, or from a few sc
 repeated. Each has its own test, and the larger p-value counts: the exact binomial tail, which takes episodes as
 independent, and a one-sided t-test over scenes (cluster-robust; Cameron and Miller 2015, section II), which takes only
 scenes as independent. The confidence interval is the wider of Clopper and Pearson's and the one over scenes.
+
+The tails come from ``scipy.special``: importing ``scipy.stats`` takes longer than all tests of a small export.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal, stats
+from scipy import fft, special
 
 __all__ = ["CONFIDENCE", "binomial_tail", "holm", "interval", "p_by_scenes", "p_uniform"]
 
 CONFIDENCE: Final = 0.95
+LONG: Final = 500
+"""Length from which distributions are convolved by fast Fourier transforms."""
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -33,11 +38,43 @@ def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
         return 1.0
     if len(trials) == 1:
         ((chance, n),) = trials.items()
-        return float(stats.binom.sf(hits - 1, n, chance))
-    total = np.ones(1)
-    for chance, n in sorted(trials.items()):
-        total = signal.fftconvolve(total, stats.binom.pmf(np.arange(n + 1), n, chance))
+        return float(special.bdtrc(hits - 1, n, chance))
+    total = _hits(tuple(sorted(trials.items())))
     return float(np.clip(total[hits:].sum(), 0.0, 1.0))
+
+
+@lru_cache(maxsize=64)
+def _hits(trials: tuple[tuple[float, int], ...]) -> F64:
+    """Return the probability of each number of right guesses, of `trials` = ((p, number of guesses), …)."""
+    total = np.ones(1)
+    for chance, n in trials:
+        total = _convolved(total, _binomial(n, chance))
+    return total
+
+
+def _binomial(n: int, chance: float) -> F64:
+    """Return the probability of 0 … n successes: from the likeliest number outwards, each by its ratio to the one
+    before, so that nothing overflows and the largest terms are exact.
+    """
+    mode = min(n, int((n + 1) * chance))
+    odds = chance / (1.0 - chance)
+    above = np.arange(mode + 1, n + 1)
+    below = np.arange(mode, 0, -1)
+    up = np.cumprod((n - above + 1) / above * odds)
+    down = np.cumprod(below / (n - below + 1) / odds)
+    found = np.concatenate([down[::-1], [1.0], up])
+    found /= found.sum()
+    return found
+
+
+def _convolved(one: F64, other: F64) -> F64:
+    """Return the distribution of a sum; by fast Fourier transforms where both parts are long."""
+    if min(len(one), len(other)) < LONG:
+        return np.convolve(one, other)
+    length = len(one) + len(other) - 1
+    size = fft.next_fast_len(length, real=True)
+    found: F64 = fft.irfft(fft.rfft(one, size) * fft.rfft(other, size), size)[:length]
+    return found
 
 
 def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
@@ -56,7 +93,7 @@ def p_by_scenes(excess: F64, scenes: NDArray[np.int64]) -> float:
     mean, error = float(sums.mean()), float(sums.std(ddof=1)) / len(sums) ** 0.5
     if error < 1e-12:
         return 0.0 if mean > 1e-12 else 1.0
-    return float(stats.t.sf(mean / error, len(sums) - 1))
+    return float(special.stdtr(len(sums) - 1, -mean / error))
 
 
 def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -65,8 +102,8 @@ def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFID
     """
     n, hits = len(right), int(right.sum())
     tail = (1.0 - confidence) / 2.0
-    low = float(stats.beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
-    high = float(stats.beta.isf(tail, hits + 1, n - hits)) if hits < n else 1.0
+    low = float(special.betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
+    high = float(special.betainccinv(hits + 1, n - hits, tail)) if hits < n else 1.0
     share = hits / n
     counts = np.bincount(scenes)
     residuals = (np.bincount(scenes, weights=right) - share * counts)[counts > 0]
@@ -74,7 +111,7 @@ def interval(right: Bools, scenes: NDArray[np.int64], confidence: float = CONFID
         return low, high
     k = len(residuals)
     error = float(np.sqrt((residuals**2).sum() * k / (k - 1))) / n
-    reach = float(stats.t.isf(tail, k - 1)) * error
+    reach = -float(special.stdtrit(k - 1, tail)) * error
     return max(0.0, min(low, share - reach)), min(1.0, max(high, share + reach))
 
 
@@ -82,7 +119,8 @@ def p_uniform(counts: Sequence[int]) -> float:
     """Return the p-value of Pearson's χ² test: how likely counts at least as uneven as `counts` are if all classes are
     equally probable.
     """
-    return float(stats.chisquare(counts).pvalue)
+    even = sum(counts) / len(counts)
+    return float(special.chdtrc(len(counts) - 1, sum((count - even) ** 2 for count in counts) / even))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from condvln.bias.blocks import BLOCKS, NO_GUESS, blocks, progressive
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
-from condvln.bias.learners import BLOCKS, LEARNED, NO_GUESS, blocks, leaf_truths, progressive
+from condvln.bias.learners import LEARNED, leaf_truths
 from schemas.program import CATEGORIES, SHAPES, Program
 
 
