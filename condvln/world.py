@@ -5,17 +5,20 @@ The steps are those of a run (``condvln generate``) without a store: relations, 
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any, Final
 
 import networkx as nx
+import numpy as np
 import numpy.typing as npt
 
 from condvln.episodes.candidates import Candidate
-from condvln.episodes.picture import draw_episode
+from condvln.episodes.picture import draw_episode, wall_lines
 from condvln.episodes.pool import EpisodePool
 from condvln.episodes.steps import Walkable, draw_programs, look_around, place_programs, published_texts
 from condvln.episodes.table import placements_table, with_text
@@ -38,7 +41,7 @@ from condvln.relations import RoomRelations, TextFacts, relate_scene, text_facts
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import MeshLibrary
-from condvln.sensors import Frame, Renderer, open_renderer
+from condvln.sensors import Frame, Renderer, cameras_of, open_renderer
 from condvln.sources.source import Source
 from schemas.config import (
     AgentConfig,
@@ -56,6 +59,9 @@ from schemas.errors import InputError
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["World", "label_priors", "open_world"]
+
+FIRST_VIEW: Final = "streamvln"
+"""Cameras by which first views are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,11 +221,33 @@ class World:
         return self._published(pool, drawn.candidates, episodes, text, instructions.wording, seed)
 
     def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
-        """Write a top-down PNG of an episode (floor, furniture, start, the path to every leaf) and return its path."""
+        """Write a PNG of an episode and return its path. The picture has the plan from above, what the conditions ask
+        about, the path to every leaf, the first view and a legend.
+        """
         tile = self.pathfinder.navmesh.tile
         floor = [tile.verts[polygon["verts"][: polygon["vert_count"]]] for polygon in tile.polys]
-        draw_episode(Path(path), self.scene, floor, published_row(episode), program_tree(episode.program))
+        row = published_row(episode)
+        draw_episode(
+            Path(path),
+            self.scene,
+            floor,
+            row,
+            program_tree(episode.program),
+            program=episode.program,
+            walls=wall_lines(self.scene, self.geometry),
+            view=self.first_view(row),
+        )
         return Path(path)
+
+    def first_view(self, row: Mapping[str, Any]) -> npt.NDArray[np.uint8]:
+        """Return the colours (h, w, 3) that an agent sees at the start of an episode.
+
+        row : the row of the table ``episodes`` as plain Python values
+        """
+        start = row["start_position"]
+        position = np.array([start["x"], start["y"], start["z"]], np.float64)
+        camera = next(camera for name, camera in cameras_of(FIRST_VIEW).items() if name.startswith("rgb"))
+        return self.renderer.look(camera, position, -math.radians(row["start_heading_degrees"])).rgb
 
     def _facts(self, thresholds: Thresholds) -> Mapping[str, TextFacts]:
         return {room_id: text_facts(found, thresholds) for room_id, found in self.relations(thresholds).items()}

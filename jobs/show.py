@@ -12,19 +12,21 @@ from typing import Any, Final, TypeVar
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from condvln.episodes.picture import draw_episode
+from condvln.episodes.picture import draw_episode, wall_lines
 from condvln.export.axes import observability_class
 from condvln.instructions.tables import programs_from_table
 from condvln.instructions.tree import program_tree
 from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_navmesh
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
+from condvln.sources.source import hash_file
+from condvln.world import World, open_world
 from factory.snapshot import Snapshot
-from jobs.pipeline import built_navmeshes
+from jobs.pipeline import built_navmeshes, open_configured
 from jobs.report import Report
 from jobs.workspace import published
 from schemas.config import Config
-from schemas.errors import UsageError
+from schemas.errors import CondVLNError, UsageError
 from schemas.program import CATEGORIES, Program
 
 __all__ = ["episode_lines", "named_rows", "show_episodes", "spread"]
@@ -57,7 +59,8 @@ def show_episodes(
         placed = row["episode_id"] is not None
         report.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
         if picture is not None and placed:
-            report.lines.append(f"  picture: {_draw(config, snapshot, row, tree, picture)}")
+            path, fault = _draw(config, snapshot, row, tree, program, picture)
+            report.lines.append(f"  picture: {path}" + (f", without walls and first view: {fault}" if fault else ""))
         report.lines.append("")
     return report
 
@@ -187,7 +190,10 @@ def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
     ]
 
 
-def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, folder: Path) -> Path:
+def _draw(
+    config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, program: Program, folder: Path
+) -> tuple[Path, str]:
+    """Draw an episode; return the picture's path and why the picture has no first view, empty if it has one."""
     tables = {}
     for name in ("scenes", "rooms", "objects"):
         table = snapshot.table(name, partition=row["source"])
@@ -195,12 +201,28 @@ def _draw(config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, fo
     roots = [source.root for source in config.sources if source.family == row["source"]]
     scenes = [scene_from_tables(tables, root, family=row["source"]) for root in roots]
     tile = _navmesh(config, snapshot, scenes).tile
-    scene = scenes[0]
     floor = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
+    world, fault = _world(config, row)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{row['episode_id']}.png"
-    draw_episode(path, scene, floor, row, tree)
-    return path
+    walls = None if world is None else wall_lines(world.scene, world.geometry)
+    view = None if world is None else world.first_view(row)
+    draw_episode(path, scenes[0], floor, row, tree, program=program, walls=walls, view=view)
+    return path, fault
+
+
+def _world(config: Config, row: Mapping[str, Any]) -> tuple[World | None, str]:
+    """Return the scene of a row with its surfaces, or None and why it can't be opened."""
+    fault = "no source of the configuration has the scene"
+    for configured in config.sources:
+        if configured.family != row["source"]:
+            continue
+        asked = configured.model_copy(update={"scenes": (row["scene_id"],), "exclude": ()})
+        try:
+            return open_world(open_configured(config, asked, hash_file), row["scene_id"], config.agent), ""
+        except CondVLNError as error:
+            fault = str(error)
+    return None, fault
 
 
 def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:

@@ -69,7 +69,8 @@ def show_export(
             floor = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
             picture.mkdir(parents=True, exist_ok=True)
             path = picture / f"{row.episode_id}.png"
-            draw_episode(path, Scene(row.source, row.scene_id, export, (), ()), floor, shown, tree)
+            bare = Scene(row.source, row.scene_id, export, (), ())
+            draw_episode(path, bare, floor, shown, tree, program=row.program)
             report.lines.append(f"  picture: {path}")
         report.lines.append("")
     return report
