@@ -36,6 +36,8 @@ def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
     """
     if hits <= 0:
         return 1.0
+    if hits > sum(trials.values()):
+        return 0.0
     if len(trials) == 1:
         ((chance, n),) = trials.items()
         return float(special.bdtrc(hits - 1, n, chance))
