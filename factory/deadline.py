@@ -56,7 +56,7 @@ class Deadline:
 
         def late(signum: int, frame: FrameType | None) -> None:
             if watching:
-                raise DeadlineError(f"it ran longer than its deadline of {limit:g} s")
+                raise DeadlineError(f"the unit ran longer than its deadline of {limit:g} s")
 
         left = max(self._end - time.monotonic(), 1e-3)
         before = signal.signal(signal.SIGALRM, late)

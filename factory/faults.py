@@ -53,7 +53,7 @@ class FaultPlan:
             place, _, action = item.partition("=")
             point, _, count = place.partition("@")
             if point not in POINTS:
-                raise UsageError(f"no fault point is called {point!r}", remedy=f"There are: {', '.join(POINTS)}.")
+                raise UsageError(f"no fault point is called {point!r}", remedy=f"Choose one of: {', '.join(POINTS)}.")
             actions[point] = (int(count or 1), action or "kill")
         return cls(actions)
 

@@ -36,7 +36,9 @@ def hash_file(path: Path) -> str:
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
         raise MissingFileError("the file is not there", where=path) from error
     except PermissionError as error:
-        raise MissingFileError("the file may not be read", where=path, remedy="Correct its permissions.") from error
+        raise MissingFileError(
+            "there is no permission to read the file", where=path, remedy="Correct its permissions."
+        ) from error
     except OSError as error:
         raise TransientIOError(f"reading failed: {error.strerror}", where=path) from error
     return state.hexdigest()

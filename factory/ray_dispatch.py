@@ -279,8 +279,8 @@ class Dispatch:
         attempts = tries + nodes - 1
         if len(task.work) == 1 and kind == "worker" and flight.late >= LATE_TRIES:
             message = (
-                f"it ran longer than its deadline of {self._context.deadline:g} s in compiled code, which can't be "
-                "interrupted, so its worker was ended; the worker's log shows where it was"
+                f"the unit ran longer than its deadline of {self._context.deadline:g} s in compiled code, which can't "
+                "be interrupted, so its worker was ended; the worker's log shows where it was"
             )
             yield self._driver.blame(task.work[0], task.until, "deadline", "DeadlineError", message, attempts=attempts)
             return

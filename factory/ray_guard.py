@@ -15,7 +15,7 @@ from pathlib import Path
 
 __all__ = ["ADVICE", "COMMITTED", "Guard"]
 
-COMMITTED = "they and every finished stage of the others are committed, nothing was published"
+COMMITTED = "they and every finished stage of the others are committed, but nothing was published"
 
 ADVICE = (
     "Run the same command again: it goes on from what is committed. If this happens again, look for the cause in "

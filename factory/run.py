@@ -383,5 +383,5 @@ class _Run:
         if self.budget.exceeded(failed, total):
             raise FailureBudgetError(
                 f"{failed} of {total} units are quarantined, more than the budget allows",
-                remedy="See status for the causes; what was committed stays, nothing was published.",
+                remedy="condvln status CONFIG shows the causes; what was committed stays, but nothing was published.",
             )

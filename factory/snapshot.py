@@ -254,7 +254,9 @@ class Snapshot:
     def paths(self, table: str) -> tuple[str, ...]:
         """Return the paths of a table's files, relative to the store. Raises ``UsageError`` on an unknown table."""
         if table not in self.manifest.tables:
-            raise UsageError(f"there is no table {table!r}", remedy=f"There are: {', '.join(self.manifest.tables)}.")
+            raise UsageError(
+                f"there is no table {table!r}", remedy=f"Choose one of: {', '.join(self.manifest.tables)}."
+            )
         partitions = self.manifest.tables[table].partitions
         return tuple(
             f"snapshots/{self.snapshot_id}/{part.path}"

@@ -63,12 +63,15 @@ class Benchmark:
             file = BenchmarkFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
         except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:
             raise ConfigError(
-                f"not a benchmark file: {error}", where=path, remedy="Compare it with configs/."
+                f"not a benchmark file: {error}", where=path, remedy="Compare it with configs/benchmark-v1.yaml."
             ) from None
         config = load_config(path.parent / file.run, overrides, check_roots=check_roots)
         if config.export is None:
             raise ConfigError(
-                "a benchmark needs an export folder", where=path.parent / file.run, place="export", remedy="Set export:"
+                "a benchmark needs an export folder",
+                where=path.parent / file.run,
+                place="export",
+                remedy="Set export: FOLDER.",
             )
         return cls(file, config)
 
@@ -129,8 +132,8 @@ def check_benchmark(
     benchmark = Benchmark.read(path, overrides)
     if (benchmark.file.benchmark, benchmark.file.version) != (theirs.benchmark, theirs.version):
         raise UsageError(
-            f"the record is of {theirs.benchmark} {theirs.version}, and the file of {benchmark.file.benchmark} "
-            f"{benchmark.file.version}",
+            f"the record is of {theirs.benchmark} {theirs.version}, but the benchmark file is of "
+            f"{benchmark.file.benchmark} {benchmark.file.version}",
             where=str(record_path),
             remedy="Take both from one release.",
         )
@@ -179,7 +182,9 @@ def read_record(path: Path) -> BenchmarkRecord:
         raise MissingFileError("there is no such record", where=file, remedy="Run condvln benchmark build.") from None
     except ValidationError as error:
         raise FormatError(
-            f"not the record of a benchmark: {error.errors()[0]['msg']}", where=file, remedy="Take it from its release."
+            f"not the record of a benchmark: {error.errors()[0]['msg']}",
+            where=file,
+            remedy="Take the record from the benchmark's release.",
         ) from None
 
 
@@ -217,7 +222,9 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
     index = read_index(benchmark.config.export) or {}
     if index.get("snapshot") != snapshot.snapshot_id:
         raise UsageError(
-            "the export is not of the published snapshot", where=str(benchmark.config.export), remedy="Build again."
+            "the export was not made from the published snapshot",
+            where=str(benchmark.config.export),
+            remedy="Run condvln benchmark build again.",
         )
     # Every cell that is asked for is counted, so that a source without any episode in a split is not passed over.
     families = sorted({source.family for source in benchmark.config.sources})

@@ -54,7 +54,7 @@ def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = Fal
         raise UsageError(
             f"the dataset ships no navmesh of {scene.family}/{scene.scene_id}",
             place="--own-navmesh",
-            remedy="Leave --own-navmesh out: the navmesh that is then built is also that of the episodes.",
+            remedy="Leave --own-navmesh out: the navmesh that is then built is the one that the episodes use.",
         )
     composed = compose_scene(scene, source.geometry(scene), config.agent)
     walked = composed.navmesh if shipped is None else shipped

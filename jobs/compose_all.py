@@ -128,7 +128,7 @@ class _Export:
             names = {str(scene) for found in index["scenes"].values() for scene in found}
             hashes = {str(path): str(entry["sha256"]) for path, entry in index["files"].items()}
         except (orjson.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-            raise FormatError(f"no record of an export ({error})", where=where, remedy="Export again") from None
+            raise FormatError(f"not the record of an export ({error})", where=where, remedy="Export again") from None
         return cls(folder, sorted((family, scene) for family, _, scene in (n.partition("/") for n in names)), hashes)
 
     def navmesh(self, scene: Scene) -> bytes | None:

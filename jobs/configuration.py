@@ -130,7 +130,7 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
                 f"no such folder: {root / source.navmesh}",
                 where=path,
                 place=f"sources.{k}.navmesh",
-                remedy="Give a folder of navmeshes by its path in the source's root.",
+                remedy="Give the path of a folder of navmeshes, relative to the source's root.",
             )
         regions = None if source.regions is None else (base / source.regions).resolve()
         if check_roots and regions is not None and not regions.exists():

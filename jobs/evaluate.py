@@ -232,7 +232,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     """
     if asked.oracle and len(asked.oracle) != len(asked.predictions):
         raise UsageError(
-            f"{len(asked.oracle)} files of predictions on the oracle twin for {len(asked.predictions)} agents",
+            f"--oracle is given {len(asked.oracle)} times for {len(asked.predictions)} agents",
             remedy="Give --oracle once for each agent, in the same order.",
         )
     said = [("--radius", radius) for radius in asked.radii]

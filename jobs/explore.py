@@ -80,7 +80,9 @@ def explore(asked: Exploration) -> Report:
     for scored in (*asked.scored, *(() if export is None else scored_splits(export, asked.predictions, roots))):
         agents.add(scored)
     if asked.views and asked.config is None:
-        raise UsageError("an export has nothing to see", place="--views", remedy="Name its configuration.")
+        raise UsageError(
+            "an export holds no scenes of which views could be made", place="--views", remedy="Name its configuration."
+        )
     former = None if asked.before is None else former_cells(asked.before)
     site = Site(asked.out)
     counts = Counts()

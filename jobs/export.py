@@ -125,7 +125,7 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
     rows = snapshot.manifest.tables["episodes"].rows
     if found != rows:
         raise CorruptShardError(
-            f"the table episodes has {found} rows, and the manifest says {rows}",
+            f"the table episodes has {found} rows, but the manifest says {rows}",
             where=f"{snapshot.store.url}/snapshots/{snapshot.snapshot_id}",
             remedy="Run condvln rebuild CONFIG --verify, which rebuilds the missing files.",
         )

@@ -31,16 +31,16 @@ def settings_of(pairs: Sequence[str]) -> NavMeshSettings:
     for pair in pairs:
         name, _, text = pair.partition("=")
         if name not in kinds:
-            raise UsageError(f"no navmesh setting is called {name!r}", remedy=f"There are {', '.join(kinds)}.")
+            raise UsageError(f"no navmesh setting is called {name!r}", remedy=f"Choose one of: {', '.join(kinds)}.")
         if kinds[name] is bool:
             if text not in ("true", "false"):
-                raise UsageError(f"{name} is true or false, not {text!r}")
+                raise UsageError(f"{name} must be true or false, got {text!r}")
             value: Any = text == "true"
         else:
             try:
                 value = float(text)
             except ValueError:
-                raise UsageError(f"{name} is a number, not {text!r}") from None
+                raise UsageError(f"{name} must be a number, got {text!r}") from None
         settings = replace(settings, **{name: value})
     return settings
 

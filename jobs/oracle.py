@@ -79,7 +79,7 @@ def oracle_split(
     document = file or export / "vlnce" / split / f"{split}.json.gz"
     target = out or export / "oracle" / split / f"{split}.json.gz"
     if target.resolve() == document.resolve():
-        raise UsageError("the twin would replace its original", where=target, remedy="Name another file: --out")
+        raise UsageError("the twin would replace its original", where=target, remedy="Name another file with --out")
     rows = read_manifest(manifest_path(export, split))
     manifest = {name: row for row in rows for name in (str(row.episode_id), row.episode_hash)}
     rendering = _rendering(export)

@@ -42,13 +42,13 @@ def policy_named(name: str) -> Policy:
         found = getattr(importlib.import_module(module), factory)
     except (ImportError, AttributeError, ValueError) as error:
         raise UsageError(
-            f"no agent {name!r} ({error})", remedy="Give module:Class, where Python finds the module from this folder."
+            f"no agent {name!r} ({error})", remedy="Give module:Class; Python must find the module from this folder."
         ) from error
     policy = found() if callable(found) else found
     lacking = [method for method in ("begin", "act") if not callable(getattr(policy, method, None))]
     if lacking:
         raise UsageError(
-            f"{name} has no {lacking[0]}()", remedy="An agent has begin(observation) and act(observation)."
+            f"{name} has no {lacking[0]}()", remedy="An agent needs begin(observation) and act(observation)."
         )
     return cast(Policy, policy)
 

@@ -85,7 +85,7 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
         try:
             result = connection.sql(sql)
             if result is None:
-                raise UsageError("the statement gives no rows", place="SQL", remedy="Ask a SELECT.")
+                raise UsageError("the statement gives no rows", place="SQL", remedy="Use a SELECT statement.")
             if out is not None:
                 return _write(result, out)
             columns, rows = result.columns, result.fetchall()

@@ -162,7 +162,9 @@ class RayJobs:
             except (urllib.error.URLError, OSError) as error:
                 fault = str(getattr(error, "reason", error))
         raise TransientIOError(
-            f"the job server does not answer: {fault}", where=self.address + path, remedy="Is the cluster up?"
+            f"the job server does not answer: {fault}",
+            where=self.address + path,
+            remedy="Check that the cluster is up and this address can be reached.",
         )
 
 

@@ -236,4 +236,6 @@ def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMesh
             return parse_navmesh(built, scene.navmesh.path)
         if (scene.root / scene.navmesh.path).is_file():
             return read_navmesh(scene.root / scene.navmesh.path)
-    raise UsageError("the navmesh of this scene is not there", remedy="Pictures need the source's files.")
+    raise UsageError(
+        "the navmesh of this scene is not there", remedy="Put the source's files back: pictures need them."
+    )

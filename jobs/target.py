@@ -87,7 +87,7 @@ def find_target(text: str, overrides: Sequence[str] = (), ref: str | None = None
         raise UsageError(
             "--set is only for a configuration, and this is a store",
             where=text,
-            remedy="Name the YAML file, or leave it out.",
+            remedy="Name the YAML file, or leave --set out.",
         )
     if "://" not in text:
         path = path.resolve()

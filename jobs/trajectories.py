@@ -101,7 +101,9 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
     with alone(state, REF) as held:
         if not held:
             raise StoreError(
-                "another run writes to this folder", where=folder, remedy="Wait until it is done, or name another one."
+                "another run writes to this folder",
+                where=folder,
+                remedy="Wait until it is done, or name another folder.",
             )
         return _Run(request, work, folder, console).go()
 

@@ -186,7 +186,7 @@ class Condition(Frozen):
     @model_validator(mode="after")
     def _witnessed(self) -> Condition:
         if self.truth != bool(self.witnesses):
-            raise ValueError("a condition has witnesses exactly when it is true")
+            raise ValueError("a condition must have witnesses if it is true, and none if it is false")
         if self.qualifier is not None and self.qualifier.predicate in QUALIFIER_ONLY:
             raise ValueError(f"{self.qualifier.predicate!r} only distinguishes stops; no condition asks for it")
         if self.definite and self.qualifier is None:
@@ -279,7 +279,7 @@ class Program(Frozen):
             raise ValueError("each branch must have one condition")
         rooms = {named.room.room_id for named in self.named if named.is_bearing}
         if len(rooms) > 1:
-            raise ValueError(f"bearings are of things in the room of the start, and these are in {sorted(rooms)}")
+            raise ValueError(f"bearings must be of things in the start's room, but these are in {sorted(rooms)}")
         return self
 
     @property

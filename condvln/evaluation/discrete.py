@@ -176,7 +176,7 @@ def evaluate_graph(
     lacking = sorted({episode.scan for episode in tasks.values()} - set(graphs))
     if lacking:
         raise MissingFileError(
-            f"{len(lacking)} scans have no connectivity graph, such as {lacking[0]}",
+            f"connectivity graphs are missing for {len(lacking)} scans, such as {lacking[0]}",
             remedy="Name the folder of <scan>_connectivity.json files",
         )
     for task in tasks.values():

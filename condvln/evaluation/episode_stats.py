@@ -141,7 +141,7 @@ def _of_file(path: Path) -> Iterator[tuple[str, Mapping[str, Any], str]]:
         raise FormatError(
             "the file is neither {episode id: {measure: number}} nor one episode's measures",
             where=path,
-            remedy=f"Name a folder of {_PREFIX}<id>.json files or one object of results by id",
+            remedy=f"Name a folder of {_PREFIX}<id>.json files, or one file {{episode id: {{measure: number}}}}",
         )
 
 
@@ -200,7 +200,7 @@ def evaluation_of_stats(
             raise FormatError(
                 f"no episode {name!r} in this split",
                 where=where or None,
-                remedy="Name the split that the results are of",
+                remedy="Choose the split that the results belong to",
             )
         if known[name] in results:
             raise FormatError(f"two results of episode {name!r}", where=where or None, remedy="Keep one of the two")

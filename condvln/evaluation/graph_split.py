@@ -48,7 +48,7 @@ def r2r_file(export: Path, split: str) -> Path:
         raise MissingFileError(
             "the file does not exist, but it is needed to score paths over viewpoints",
             where=export / "r2r" / name,
-            remedy="Exports hold R2R files for Matterport3D scans with connectivity only",
+            remedy="Set 'connectivity' of the mp3d source and generate again: only such exports hold it",
         )
     return found
 
@@ -77,7 +77,7 @@ class GraphSplit:
         lacking = sorted({episode.scan for episode in episodes} - set(graphs))
         if lacking:
             raise MissingFileError(
-                f"{len(lacking)} scans have no connectivity graph, such as {lacking[0]}",
+                f"connectivity graphs are missing for {len(lacking)} scans, such as {lacking[0]}",
                 where=file,
                 remedy="Name the folder of <scan>_connectivity.json files with --connectivity",
             )

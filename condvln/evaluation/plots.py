@@ -78,7 +78,10 @@ def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int =
     StoreError : a file can't be written
     """
     if not any(value is not None for evaluation in evaluations for value in evaluation.axes["depth"]):
-        raise UsageError("the depth of these episodes is unknown", remedy="Plots need the manifest of an export.")
+        raise UsageError(
+            "the depth of these episodes is unknown",
+            remedy="Evaluate on an export: its manifest holds the depths that plots need.",
+        )
     written = []
     for axis in _AXES:
         figure = axis_figure(evaluations, axis, seed=seed)

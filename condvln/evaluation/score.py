@@ -177,7 +177,7 @@ def _check_start(task: Task, prediction: Prediction, where: str) -> None:
             f"the path begins {off:.2f} m from the episode's start",
             where=where or None,
             place=f"episode {task.episode_id}",
-            remedy="Positions are metres in Habitat's frame, the start first; is this the file of another split?",
+            remedy="Check that the file is of this split; positions are metres in Habitat's frame, the start first",
         )
 
 

@@ -109,9 +109,9 @@ def _evaluate_stock(stock: Path, predictions: Mapping[str, Path]) -> list[Evalua
     for path in predictions.values():
         if not is_episode_stats(path):
             raise UsageError(
-                "paths are scored on the navmesh named by a manifest, and this split has no manifest",
+                "this split has no manifest, which would name the navmesh on which paths are scored",
                 where=path,
-                remedy="For such splits, give per-episode results: stats_<id>.json or {id: {measure: number}}",
+                remedy="Give per-episode results instead: stats_<id>.json or {id: {measure: number}}",
             )
     return [
         evaluation_of_stats(episodes, read_episode_stats(path), agent=name, where=str(path))

@@ -50,7 +50,9 @@ def stock_episodes(path: Path) -> list[StockEpisode]:
     content = document(path)
     episodes = content.get("episodes") if isinstance(content, dict) else None
     if not isinstance(episodes, list):
-        raise FormatError("the file has no list of episodes", where=path, remedy="See condvln export --validate")
+        raise FormatError(
+            "the file has no list of episodes", where=path, remedy="Check the file with condvln export --validate"
+        )
     found: dict[str, StockEpisode] = {}
     for number, episode in enumerate(episodes):
         name, scene = (episode.get(key) if isinstance(episode, dict) else None for key in ("episode_id", "scene_id"))
@@ -59,11 +61,14 @@ def stock_episodes(path: Path) -> list[StockEpisode]:
                 "an episode lacks its id or its scene",
                 where=path,
                 place=f"episodes.{number}",
-                remedy="See condvln export --validate",
+                remedy="Check the file with condvln export --validate",
             )
         if str(name) in found:
             raise FormatError(
-                "the id occurs twice", where=path, place=f"episode {name}", remedy="See condvln export --validate"
+                "the id occurs twice",
+                where=path,
+                place=f"episode {name}",
+                remedy="Check the file with condvln export --validate",
             )
         stops = episode.get("subgoals")
         axes = dict.fromkeys(AXES) | {"source": scene.split("/")[0], "scene": scene}

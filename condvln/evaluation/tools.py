@@ -100,7 +100,9 @@ class EpisodeTools:
             self._turn += 1
         task = own.tasks.get(str(episode_id))
         if task is None:
-            raise UsageError(f"the split has no episode {episode_id!r}", remedy="Name one of its manifest")
+            raise UsageError(
+                f"the split has no episode {episode_id!r}", remedy="Use an episode id of the split's manifest"
+            )
         view = own.views(str(task.axes["scene"]))
         self._sensor = TextSensor(view.scene, view.renderer, noise=own.noise)
         self._episode = SteppedEpisode(task, own.export.pathfinder(task), noise=own.noise, seed=own.seed)

@@ -48,7 +48,9 @@ class Site:
             raise UsageError("--out is a file", place=str(out), remedy="Name a folder.")
         if out.is_dir() and not _is_ours(out):
             raise UsageError(
-                "the folder holds other files", place=str(out), remedy="Name a new or empty folder with --out."
+                "the folder holds files that condvln explore did not write",
+                place=str(out),
+                remedy="Name a new or empty folder with --out.",
             )
         (out / PAGE).unlink(missing_ok=True)
         for folder in (DATA, FRAMES):

@@ -85,7 +85,7 @@ def check_place(out: Path) -> None:
         raise StoreError(
             f"the export folder {where} a mount point, which can't be exchanged for a new folder",
             where=here,
-            remedy=f"Export to a folder below the mount: export: {here / 'export'}"
+            remedy=f"Choose a folder below the mount, such as {here / 'export'}"
             if mounted == here
             else "Unmount it or choose another export folder.",
         )

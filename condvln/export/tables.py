@@ -95,7 +95,9 @@ class FolderTables:
                 for batch in file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False):
                     yield with_numbers(batch, columns)
             except (pa.ArrowException, OSError) as error:
-                raise FormatError(f"a part is damaged ({error})", where=folder, remedy=_REMEDY) from error
+                raise FormatError(
+                    f"a part-*.parquet file is damaged ({error})", where=folder, remedy=_REMEDY
+                ) from error
 
 
 def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:

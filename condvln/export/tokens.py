@@ -63,7 +63,7 @@ class Vocabulary:
 
     def __post_init__(self) -> None:
         if self.words[:2] != (PAD, UNK) or len(set(self.words)) != len(self.words):
-            raise ValueError("a vocabulary starts with <pad>, <unk> and names each word once")
+            raise ValueError("the vocabulary does not start with <pad>, <unk>, or it names a word twice")
         object.__setattr__(self, "_index", {word: index for index, word in enumerate(self.words)})
 
     @classmethod

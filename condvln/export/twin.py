@@ -114,7 +114,9 @@ def _document(path: Path) -> dict[str, Any]:
             Vocabulary.from_document(content["instruction_vocab"])
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(
-            f"not a VLN-CE split ({type(error).__name__}: {error})", where=path, remedy="See condvln export --validate"
+            f"not a VLN-CE split ({type(error).__name__}: {error})",
+            where=path,
+            remedy="Check the file with condvln export --validate",
         ) from error
     found: dict[str, Any] = content
     return found

@@ -105,5 +105,9 @@ class DatasetRoot:
                 f"the file can't be opened ({error.strerror})", where=path, remedy="Correct its name or its permissions"
             ) from None
         if len(data) > limit:
-            raise FormatError(f"the file is larger than {limit} bytes", where=path, remedy="No real file is so large")
+            raise FormatError(
+                f"the file is larger than {limit} bytes",
+                where=path,
+                remedy="Valid files are smaller: take the file from its dataset again",
+            )
         return data

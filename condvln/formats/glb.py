@@ -108,7 +108,7 @@ def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: s
     faces = np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
     used = np.unique(faces)
     if not (np.abs(vertices[used]) <= MAX_COORDINATE).all():
-        raise FormatError(f"a vertex is not finite or beyond ±{MAX_COORDINATE:g} m", where=where, remedy=_REMEDY)
+        raise FormatError(f"a vertex is NaN, infinite or beyond ±{MAX_COORDINATE:g} m", where=where, remedy=_REMEDY)
     # Vertices are duplicated where normals differ; merging equal ones shows which edges coincide.
     merged, back = np.unique(vertices[used] + 0.0, axis=0, return_inverse=True)
     place = np.zeros(len(vertices), dtype=np.int64)
@@ -142,7 +142,7 @@ def glb_chunks(data: bytes, where: str) -> tuple[JsonNode, bytes]:
         return FormatError(what, where=where, place=f"byte {offset}", remedy=_REMEDY)
 
     if len(data) < _HEADER.size + _CHUNK.size:
-        raise fail(f"a GLB file has at least {_HEADER.size + _CHUNK.size} bytes, this one {len(data)}", 0)
+        raise fail(f"the file has {len(data)} bytes, but a GLB file has at least {_HEADER.size + _CHUNK.size}", 0)
     magic, version, length = _HEADER.unpack_from(data)
     if magic != b"glTF" or version != 2:
         raise fail("not a GLB file of version 2", 0)

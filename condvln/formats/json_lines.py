@@ -141,7 +141,9 @@ class JsonLines:
             return path.open("rb")
         except OSError as error:
             raise MissingFileError(
-                f"the file can't be opened ({error.strerror})", where=path, remedy="Download it again"
+                f"the file can't be opened ({error.strerror})",
+                where=path,
+                remedy="Check its permissions, or download it again",
             ) from None
 
     def _pieces(self, stream: BinaryIO, start: _Checkpoint) -> Iterator[tuple[bytes, _Checkpoint | None]]:

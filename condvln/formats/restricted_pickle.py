@@ -107,12 +107,14 @@ def _no_bytes(*content: Any) -> bytes:
     empty bytes.
     """
     if content:
-        raise UnsafePickleError("the pickle calls bytes with arguments; bytes are read only as literals")
+        raise UnsafePickleError("the pickle calls bytes with arguments; only literal bytes are accepted")
     return b""
 
 
 def _ndarray(*_: Any) -> Any:
-    raise UnsafePickleError("the pickle calls numpy.ndarray itself; arrays are read only as numpy writes them")
+    raise UnsafePickleError(
+        "the pickle calls numpy.ndarray itself; only arrays in the form that numpy writes are accepted"
+    )
 
 
 _KNOWN: Final = {

@@ -119,7 +119,7 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
             elif name == "otherwise":
                 context, condition, truth = _latest(listener)
                 if truth is None or previous_ifs != 1:
-                    raise ValueError('"otherwise" follows a sentence that has not exactly one "if"')
+                    raise ValueError('"otherwise" follows a sentence that does not have exactly one "if"')
                 listener.context = (*context, (condition, not truth))
                 sentence_ifs = 0
             elif name in ("neither", "none"):
@@ -167,7 +167,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
 
 def _latest(listener: _Listener) -> tuple[Context, int, bool | None]:
     if not listener.asks:
-        raise ValueError("an answer before any question")
+        raise ValueError("an answer comes before any question")
     return listener.asks[-1]
 
 

@@ -72,10 +72,10 @@ def _tree(text: str, words: Language) -> Node:
     except UnexpectedInput as fault:
         context = fault.get_context(text, 30) if fault.pos_in_stream is not None else ""
         raise FormatError(
-            "the text can't be read back", place=f"column {fault.column}: {context.splitlines()[0] if context else ''}"
+            "the text can't be parsed", place=f"column {fault.column}: {context.splitlines()[0] if context else ''}"
         ) from fault
     except LarkError as fault:
-        raise FormatError(f"the text can't be read back: {fault}") from fault
+        raise FormatError(f"the text can't be parsed: {fault}") from fault
 
 
 def grammar_source(words: Language) -> str:

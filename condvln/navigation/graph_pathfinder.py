@@ -65,10 +65,12 @@ class GraphPathfinder:
         places = np.array(positions, np.float32).reshape(-1, 3)
         pairs = np.sort(np.array(edges, np.int32).reshape(-1, 2), axis=1)
         if not len(places) or not np.isfinite(places).all():
-            raise InputError("a graph needs viewpoints with finite coordinates", remedy="Correct the graph")
+            raise InputError(
+                "the graph has no viewpoints, or a coordinate that is NaN or infinite", remedy="Correct the graph"
+            )
         if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(places) or (pairs[:, 0] == pairs[:, 1]).any()):
             raise InputError(
-                "an edge refers to an unknown viewpoint, or to one viewpoint twice", remedy="Correct the graph"
+                "an edge refers to an unknown viewpoint, or connects a viewpoint to itself", remedy="Correct the graph"
             )
         pairs = np.unique(pairs, axis=0)
         lengths = np.linalg.norm(places[pairs[:, 0]].astype(float) - places[pairs[:, 1]], axis=1)

@@ -82,7 +82,7 @@ class NavmeshFolder:
         relative = PurePosixPath(navmesh)
         if relative.is_absolute() or ".." in relative.parts:
             raise PathEscapeError(
-                f"the navmesh {navmesh!r} is outside every root",
+                f"the path of the navmesh, {navmesh!r}, leads out of the folders of navmeshes",
                 place=place,
                 remedy="Export the split again",
             )

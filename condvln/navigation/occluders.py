@@ -149,7 +149,9 @@ class BoxOccluders:
         sound = np.isfinite(self._centers).all(axis=1) & np.isfinite(self._axes).all(axis=(1, 2))
         sound &= (np.isfinite(self._half) & (self._half >= 0)).all(axis=1)
         if not sound.all():
-            raise UsageError("a box has an extent that is negative or NaN", place=f"box {int(np.argmin(sound))}")
+            raise UsageError(
+                "a box has a number that is NaN or infinite, or a negative extent", place=f"box {int(np.argmin(sound))}"
+            )
 
     @classmethod
     def of_aabbs(cls, aabbs: npt.ArrayLike) -> BoxOccluders:

@@ -38,6 +38,7 @@ def paired_points(starts: npt.ArrayLike, ends: npt.ArrayLike) -> tuple[Floats, F
     first, second = (one_point(p) if np.ndim(p) == 1 and np.size(p) else many_points(p) for p in (starts, ends))
     if len(first) != len(second) and 1 not in (len(first), len(second)):
         raise UsageError(
-            f"there are {len(first)} starts and {len(second)} ends", remedy="Give equal numbers, or one of either"
+            f"there are {len(first)} starts and {len(second)} ends",
+            remedy="Give equal numbers of both, a single start or a single end",
         )
     return first, second

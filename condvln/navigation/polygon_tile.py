@@ -90,7 +90,7 @@ def _wound(verts: Floats, corners: list[int], number: int) -> list[int]:
     place = f"polygon {number}"
     if not 3 <= len(corners) <= MAX_VERTS_PER_POLYGON or len(set(corners)) != len(corners):
         raise InputError(
-            f"the polygon has {len(corners)} corners, or a corner is repeated",
+            f"the polygon's {len(corners)} corners are too few, too many or not all different",
             place=place,
             remedy="Give 3 to 6 different vertices",
         )
@@ -117,7 +117,8 @@ def _polygon_records(corners: list[list[int]]) -> Records:
     for (a, b), users in sides.items():
         if len(users) > 2:
             raise InputError(
-                f"{len(users)} polygons share the edge {a}-{b}, more than two", remedy="Correct the floor polygons"
+                f"{len(users)} polygons share the edge {a}-{b}, but at most two may",
+                remedy="Correct the floor polygons",
             )
         if len(users) == 2:
             (first, first_edge), (second, second_edge) = users

@@ -46,7 +46,9 @@ def box_samples(
     if middle.shape != (3,) or half.shape != (3,) or axes.shape != (3, 3):
         raise UsageError(f"a box needs shapes (3,), (3,) and (3, 3), got {middle.shape}, {half.shape} and {axes.shape}")
     if not (np.isfinite([middle, half, *axes]).all() and (half >= 0).all()):
-        raise UsageError(f"a box with centre {middle} and half extents {half} has no surface")
+        raise UsageError(
+            f"a box has a number that is NaN or infinite, or a negative extent: centre {middle}, half extents {half}"
+        )
     others = np.array([[1, 2], [0, 2], [0, 1]])[_FACE_AXIS]
     area = half[others].prod(axis=1)
     if not area.any():  # degenerate box (a line or a point): any face will do

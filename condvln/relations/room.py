@@ -86,7 +86,7 @@ class RoomRelations:
         raise StoreError(
             "the stored relations belong to other objects or other thresholds",
             place=f"room {arrays.room_id!r}",
-            remedy="Relate the scene again",
+            remedy="Compute the scene's relations again",
         )
 
     @property

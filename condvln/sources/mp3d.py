@@ -60,7 +60,7 @@ class Mp3dSource(SceneSource):
             raise ConfigError(
                 "no scans (<scan>/<scan>.house or <scan>/house_segmentations/<scan>.house) are in this folder",
                 where=root,
-                remedy="Download Matterport3D (its terms are to be accepted), or correct the source's 'root'",
+                remedy="Download Matterport3D (you must accept its terms), or correct the source's 'root'",
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:

@@ -66,7 +66,7 @@ class ProcthorHabitatSource(ReplicaCadSource):
         turn = _turn(house, objects)
         if turn is None:
             raise FormatError(
-                f"the house {house_id!r} has its objects elsewhere: it does not belong to the scene {scene_id!r}",
+                f"the objects of house {house_id!r} are not where scene {scene_id!r} has them: the two do not match",
                 where=self._houses.root,
                 place=house_id,
                 remedy="Use the houses of the same release as Habitat's scenes, one per line, in a file for each split",

@@ -186,7 +186,7 @@ class SceneDataset:
         found = list_files(self.root, [f"*{CONFIG_SUFFIX}"]).paths
         if len(found) != 1:
             raise ConfigError(
-                f"{len(found)} files *{CONFIG_SUFFIX} are in this folder, exactly one is expected",
+                f"{len(found)} files *{CONFIG_SUFFIX} are in this folder, but exactly one is expected",
                 where=self.root.folder,
                 remedy="Set the source's 'root' to the folder that holds the dataset's configuration",
             )

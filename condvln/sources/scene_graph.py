@@ -63,7 +63,7 @@ def read_npz(data: bytes, where: str) -> JsonNode:
 def _entries(graph: Any, kind: str, keys: tuple[str, ...]) -> list[dict[str, Any]]:
     found = graph.get(kind) if isinstance(graph, dict) else None
     if not isinstance(found, dict) or not all(isinstance(entry, dict) for entry in found.values()):
-        raise UnsafePickleError(f"it holds no dictionary for each {kind}")
+        raise UnsafePickleError(f"it does not hold a dictionary for each {kind}")
     return [{key: _value(entry[key]) for key in keys if key in entry} for entry in found.values()]
 
 
@@ -85,7 +85,7 @@ def _member(data: bytes, where: str) -> bytes:
                 size += len(piece)
                 if size > MAX_GRAPH_BYTES:
                     raise FormatError(
-                        f"it decompresses to more than {MAX_GRAPH_BYTES} bytes",
+                        f"the array decompresses to more than {MAX_GRAPH_BYTES} bytes",
                         where=where,
                         place=MEMBER,
                         remedy=_REMEDY,
@@ -93,7 +93,7 @@ def _member(data: bytes, where: str) -> bytes:
                 pieces.append(piece)
             return b"".join(pieces)
     except KeyError:
-        raise FormatError(f"it holds no {MEMBER}", where=where, remedy=_REMEDY) from None
+        raise FormatError(f"the file holds no {MEMBER}", where=where, remedy=_REMEDY) from None
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError, NotImplementedError) as error:
         raise FormatError(f"not a valid npz file ({error!r:.80})", where=where, remedy=_REMEDY) from None
 
@@ -110,12 +110,12 @@ def _pickle_of(array: bytes, where: str) -> bytes:
     start = 12 if wide else 10
     length = int.from_bytes(array[8:start], "little")
     if length > 10_000 or start + length > len(array):
-        raise fail(f"its header claims {length} bytes, which is too large")
+        raise fail(f"the array's header claims {length} bytes, which is too large")
     try:
         header = literal_eval(array[start : start + length].decode("latin1"))
         descr, shape = header["descr"], header["shape"]
     except (ValueError, SyntaxError, KeyError, TypeError, MemoryError, RecursionError):
-        raise fail("its header can't be read") from None
+        raise fail("the array's header can't be read") from None
     if descr not in ("|O", "O", "<O") or shape not in ((), (1,)):
         raise fail("the array does not hold exactly one object")
     return array[start + length :]

@@ -64,7 +64,7 @@ class SceneSource(ABC):
         self._lost: dict[str, InputError] = {}
         if options.regions is not None and not options.regions.exists():
             raise ConfigError(
-                "the side file of room zones does not exist",
+                "the file or folder of room zones does not exist",
                 where=options.regions,
                 remedy="Correct the source's 'regions'",
             )

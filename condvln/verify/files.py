@@ -193,7 +193,9 @@ def _elements(path: Path) -> Iterator[bytes]:
             if not opened_array:
                 head = _EPISODES.match(block)
                 if head is None:
-                    raise FormatError("does not begin with its episodes", where=path, remedy=_REMEDY)
+                    raise FormatError(
+                        "the file does not begin with the key 'episodes' and a list", where=path, remedy=_REMEDY
+                    )
                 block, opened_array = block[head.end() :], True
             begin = 0
             for end in scan(np.frombuffer(block, np.uint8), state).tolist():

@@ -149,7 +149,8 @@ def compose(
         report = compose_scene(loaded, scene, out, own_navmesh=own_navmesh)
     else:
         raise UsageError(
-            "either one scene is composed, or all are", remedy="Use compose CONFIG SCENE OUT.glb, or CONFIG --all DIR."
+            "give either SCENE and OUT.glb, or --all DIR",
+            remedy="Use condvln compose CONFIG SCENE OUT.glb, or condvln compose CONFIG --all DIR.",
         )
     answer(report, as_json)
     leave(report.exit_code)

@@ -54,7 +54,9 @@ def _check(context: typer.Context, verb: str, words: list[str]) -> None:
     try:
         command.make_context(verb, words)
     except typer.Exit:
-        raise UsageError(f"the help of {verb} is not submitted as a job", remedy=f"condvln {verb} --help") from None
+        raise UsageError(
+            f"the help of {verb} is not submitted as a job", remedy=f"Run condvln {verb} --help."
+        ) from None
     except Exception as error:
         # The library's own errors, whose class depends on its version (it brings its own copy of click, or not).
         told = getattr(error, "format_message", None)

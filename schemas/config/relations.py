@@ -212,7 +212,7 @@ class Thresholds(Section):
         ):
             if not low < middle < high:
                 raise ValueError(
-                    f"{name}: {middle:g} must lie between its thresholds in text, got {low:g} and {high:g}"
+                    f"{name}: {middle:g} must be above {low:g} and below {high:g} (see {name}_true and {name}_false)"
                 )
         for true, false, name in (
             (self.over_horizontal_true, self.over_horizontal, "over_horizontal"),

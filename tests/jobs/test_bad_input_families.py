@@ -126,7 +126,7 @@ def claiming_pickle(path: Path, root: Path) -> str:
 def claiming_array(path: Path, root: Path) -> str:
     array = npy(b"")
     path.write_bytes(npz(array[:6] + b"\x02\x00" + struct.pack("<I", 0xFFFF_FFFF) + array[10:]))
-    return "output.npy: its header claims 4294967295 bytes"
+    return "output.npy: the array's header claims 4294967295 bytes"
 
 
 def claiming_house(path: Path, root: Path) -> str:

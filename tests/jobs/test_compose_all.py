@@ -146,7 +146,7 @@ def test_a_damaged_record_is_one_error(houses: Config, tmp_path: Path, text: str
     config = elsewhere(houses, tmp_path)
     told(config)
     (tmp_path / "export/export.json").write_text(text)
-    with pytest.raises(FormatError, match=r"export\.json: no record of an export .*Export again"):
+    with pytest.raises(FormatError, match=r"export\.json: not the record of an export .*Export again"):
         compose_all(config, tmp_path / "scenes")
 
 
@@ -212,4 +212,4 @@ def test_the_command_takes_one_scene_or_all(houses: Config, tmp_path: Path) -> N
     for words in ([], ["houses-0"], ["houses-0", "a.glb", "--all", folder], ["houses-0", "--all", folder]):
         wrong = runner.invoke(app, ["compose", str(config), *words])
         assert isinstance(wrong.exception, UsageError)
-        assert "either one scene is composed, or all are" in str(wrong.exception)
+        assert "give either SCENE and OUT.glb, or --all DIR" in str(wrong.exception)

@@ -107,7 +107,7 @@ def test_faults_leave_no_page(asked: Exploration, export: Path, tmp_path: Path) 
         (Exploration(tmp_path / "page", tmp_path), "neither a configuration nor an export"),
         (Exploration(tmp_path / "page", export, predictions=(other,)), "no episode of the export"),
         (Exploration(tmp_path / "page", export, before=tmp_path), "names no export"),
-        (Exploration(tmp_path / "page", export, views=1), "nothing to see"),
+        (Exploration(tmp_path / "page", export, views=1), "holds no scenes"),
     ):
         with pytest.raises(UsageError, match=said):
             explore(wrong)

@@ -140,7 +140,9 @@ class NavigationEnv(gymnasium.Env[Observation, np.int64]):
         elif str(asked) in self._number:
             task = self._tasks[self._number[str(asked)]]
         else:
-            raise UsageError(f"the split has no episode {asked!r}", remedy="See episode_ids")
+            raise UsageError(
+                f"the split has no episode {asked!r}", remedy="Choose one of the environment's episode_ids"
+            )
         pathfinder = self.export.pathfinder(task)
         self._nearness = Nearness(pathfinder)
         self._episode = SteppedEpisode(task, pathfinder, noise=self._noise, seed=self._seed)

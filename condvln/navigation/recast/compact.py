@@ -69,7 +69,7 @@ def compact(field: Heightfield, area: Array, walkable_height: int, walkable_clim
     most = int(np.diff(start).max(initial=0))
     if layers > MAX_LAYERS or most > MAX_COLUMN_SPANS:
         raise FormatError(
-            f"{max(layers + 1, most)} floors lie above each other, and Recast can tell {MAX_LAYERS + 1} apart",
+            f"{max(layers + 1, most)} floors lie one above another, but Recast can tell at most {MAX_LAYERS + 1} apart",
             place=f"compact heightfield, column {int(np.argmax(np.diff(start)))}",
             remedy="Use a larger cell_height, or clean the mesh",
         )

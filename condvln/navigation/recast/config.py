@@ -189,7 +189,7 @@ def _check_extent(extent: Array, levels: np.float32, settings: NavMeshSettings, 
         )
     if extent.max() > MAX_GRID_CELLS:
         raise FormatError(
-            f"the mesh is {extent.max():.0f} cells long, and a tile holds {MAX_GRID_CELLS:,}",
+            f"the mesh is {extent.max():.0f} cells long, but a tile holds at most {MAX_GRID_CELLS:,}",
             place="mesh bounds",
             remedy="Use a larger cell_size or cut the mesh into parts",
         )
@@ -201,7 +201,8 @@ def _check_extent(extent: Array, levels: np.float32, settings: NavMeshSettings, 
         )
     if not levels < MAX_SPAN_HEIGHT:
         raise FormatError(
-            f"the mesh is {levels:.0f} cells of {settings.cell_height:g} m high, and a tile holds {MAX_SPAN_HEIGHT:,}",
+            f"the mesh is {levels:.0f} cells high, each of {settings.cell_height:g} m, "
+            f"but a tile holds at most {MAX_SPAN_HEIGHT:,}",
             place="mesh bounds",
             remedy="Check the unit of the mesh and remove far-off vertices, or use a larger cell_height",
         )

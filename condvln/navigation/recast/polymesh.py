@@ -81,7 +81,7 @@ def build_polymesh(contours: Contours, verts_per_poly: int) -> PolyMesh:
 
 def _too_many(what: str, most: int) -> FormatError:
     return FormatError(
-        f"the walkable surface needs {what}, and a tile can number {most - 1:,}",
+        f"the walkable surface needs {what}, but a tile can number at most {most - 1:,}",
         place="polygon mesh",
         remedy="Use a larger cell_size or edge_max_error, or cut the mesh into parts",
     )

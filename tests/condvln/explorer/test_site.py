@@ -67,7 +67,7 @@ def test_a_former_page_is_replaced_whole(tmp_path: Path) -> None:
 def test_a_folder_with_other_files_is_left_alone(name: str, tmp_path: Path) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("mine")
-    with pytest.raises(UsageError, match="holds other files"):
+    with pytest.raises(UsageError, match="holds files that condvln explore did not write"):
         Site(tmp_path)
     assert [path.read_text() for path in tmp_path.rglob("*") if path.is_file()] == ["mine"]
 

@@ -95,7 +95,7 @@ def test_rows_of_other_objects_are_refused(
     shifted = scene_of([make(furnished[0].object_id, (9, 9, 9), (1, 1, 1)), *furnished[1:]])
     more = scene_of([*furnished, make("new", (0, 0, 0), (1, 1, 1))])
     for other in (fewer, shifted, more):
-        with pytest.raises(StoreError, match=r"room 'room'.*Relate the scene again"):
+        with pytest.raises(StoreError, match=r"room 'room'.*Compute the scene's relations again"):
             RoomRelations.from_table(table, other.arrays("room"), Thresholds())
     with pytest.raises(StoreError):
         RoomRelations.from_table(table, scene_of(furnished).arrays("room"), Thresholds(near=0.9))

@@ -77,7 +77,7 @@ class Touches:
         (npz_of(b"\x93NUMPY\x01\x00\x06\x00[1, 2]"), "header can't be read"),
         (npz_of(npy_of(np.zeros(3))), "not hold exactly one object"),
         (npz_of(npy_of(np.array([1, 2], dtype=object))), "not hold exactly one object"),
-        (npz_of(npy_of(np.array({"room": {}}, dtype=object))), "no dictionary for each object"),
+        (npz_of(npy_of(np.array({"room": {}}, dtype=object))), "not hold a dictionary for each object"),
         (npz_of(npy_of(np.array({"object": {1: {"id": [1] * 9}}, "room": {}}, dtype=object))), "a field is list"),
         (npz_of(npy_of(np.array({"object": {1: {"size": np.zeros(9)}}, "room": {}}, dtype=object))), "9 items"),
         (as_npz(building())[:-30], "not a valid npz"),

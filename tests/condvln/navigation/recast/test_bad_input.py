@@ -84,7 +84,7 @@ def test_no_extent_brings_it_down(plate, extent: float, other: float) -> None:
 
 
 def test_long_meshes(plate) -> None:
-    with pytest.raises(FormatError, match="70000 cells long, and a tile holds 65,535"):
+    with pytest.raises(FormatError, match="70000 cells long, but a tile holds at most 65,535"):
         build_navmesh(*plate(0, 0, 3500, 1))
 
 
@@ -94,7 +94,7 @@ def test_thin_meshes(plate) -> None:
 
 
 def test_high_meshes(join, plate) -> None:
-    with pytest.raises(FormatError, match=r"8500 cells of 0\.2 m high, and a tile holds 8,191"):
+    with pytest.raises(FormatError, match=r"8500 cells high, each of 0\.2 m, but a tile holds at most 8,191"):
         build_navmesh(*join(plate(0, 0, 4, 4), plate(0, 0, 4, 4, y=1700)))
     stages = build_stages(*join(plate(0, 0, 4, 4), plate(0, 0, 4, 4, y=1638.19)), NavMeshSettings())
     assert stages.solid.top.max() == 8191
@@ -105,7 +105,7 @@ def test_more_floors_than_a_column_can_hold(join, plate) -> None:
         return join(*(plate(0, 0, 2, 2, y=2.0 * k) for k in range(storeys)))
 
     assert len(build_navmesh(*tower(63)).tile.polys) == 63
-    with pytest.raises(FormatError, match="64 floors lie above each other, and Recast can tell 63 apart"):
+    with pytest.raises(FormatError, match="64 floors lie one above another, but Recast can tell at most 63 apart"):
         build_navmesh(*tower(64))
 
 
