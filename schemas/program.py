@@ -279,7 +279,7 @@ class Program(Frozen):
             raise ValueError("each branch must have one condition")
         rooms = {named.room.room_id for named in self.named if named.is_bearing}
         if len(rooms) > 1:
-            raise ValueError(f"bearings must be of things in the start's room, but these are in {sorted(rooms)}")
+            raise ValueError(f"bearings must be of things in the room of the start, but these are in {sorted(rooms)}")
         return self
 
     @property

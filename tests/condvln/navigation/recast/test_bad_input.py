@@ -122,7 +122,7 @@ def test_more_vertices_than_a_tile_can_number() -> None:
     def contours(count: int) -> Contours:
         return Contours(points[: 4 * count], start[: count + 1], region[:count], region[:count])
 
-    with pytest.raises(FormatError, match="65,536 contour vertices, and a tile can number 65,533"):
+    with pytest.raises(FormatError, match="65,536 contour vertices, but a tile can number at most 65,533"):
         build_polymesh(contours(squares), 6)
     assert len(build_polymesh(contours(squares - 1), 6).polygons) == squares - 1
 
@@ -135,7 +135,7 @@ def test_more_edges_than_a_tile_can_number() -> None:
     points = np.concatenate([ring.round() + [10_000, 0, 10_000, 0] + level * k for k in range(650)]).astype(np.int32)
     start = np.arange(0, len(points) + 1, 100, dtype=np.int32)
     ones = np.ones(650, np.int32)
-    with pytest.raises(FormatError, match="polygon edges, and a tile can number 65,534"):
+    with pytest.raises(FormatError, match="polygon edges, but a tile can number at most 65,534"):
         build_polymesh(Contours(points, start, ones, ones), 3)
 
 
