@@ -39,3 +39,12 @@ def rxr_as_published(exported: Path) -> Any:
             "timed_instruction": [{"word": word, "start_time": 1.0, "end_time": 1.5} for word in words],
         }
     return document
+
+
+def bert_as_published(exported: Path, split: str = "test") -> Any:
+    """A split of ours with word pieces of BERT, as ``<split>_bertidx`` files have them beside a vocabulary of words."""
+    document = read(exported / "vlnce" / split / f"{split}.json.gz")
+    for number, episode in enumerate(document["episodes"]):
+        tokens = [101, 2065, 2045, 20_000 + number, 102]
+        episode["instruction"]["instruction_tokens"] = tokens + [0] * (200 - len(tokens))
+    return document

@@ -13,7 +13,7 @@ from condvln.export.validation import CODES, Options, validate
 from condvln.formats import streams
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import UsageError
-from tests.condvln.export.findings import codes, errors, rxr_as_published, write
+from tests.condvln.export.findings import bert_as_published, codes, errors, rxr_as_published, write
 from tests.strict_loader import read
 
 # -- sound files -------------------------------------------------------------------------------------------------------
@@ -96,10 +96,7 @@ def test_a_split_whose_goals_are_kept_back_is_lawful(exported: Path, tmp_path: P
 
 def test_files_indexed_by_bert_are_lawful(exported: Path, tmp_path: Path) -> None:
     """As ``<split>_bertidx.json.gz``, Open-Nav's 100 episodes among them: the vocabulary beside them is of words."""
-    document = read(exported / "vlnce" / "test" / "test.json.gz")
-    for number, episode in enumerate(document["episodes"]):
-        tokens = [101, 2065, 2045, 29000 + number, 102]
-        episode["instruction"]["instruction_tokens"] = tokens + [0] * (200 - len(tokens))
+    document = bert_as_published(exported)
     assert validate(write(tmp_path / "test_bertidx.json.gz", document)) == []
 
     def spoilt(at: int, token: int) -> set[str]:
@@ -156,11 +153,8 @@ def test_followers_of_rxr_are_lawful(exported: Path, tmp_path: Path) -> None:
 def test_forms_of_one_split_are_no_leak(exported: Path, tmp_path: Path) -> None:
     """As R2R_VLNCE_v1-2_preprocessed_BERTidx, where ``_raw`` beside ``_bertidx`` was 16,848 errors."""
     for split in ("train", "test"):
-        document = read(exported / "vlnce" / split / f"{split}.json.gz")
-        write(tmp_path / split / f"{split}_raw.json.gz", document)
-        for episode in document["episodes"]:
-            episode["instruction"]["instruction_tokens"] = [101, 2065, 102] + [0] * 197
-        write(tmp_path / split / f"{split}_bertidx.json.gz", document)
+        write(tmp_path / split / f"{split}_raw.json.gz", read(exported / "vlnce" / split / f"{split}.json.gz"))
+        write(tmp_path / split / f"{split}_bertidx.json.gz", bert_as_published(exported, split))
     assert validate(tmp_path) == []
     stolen = read(tmp_path / "train" / "train_raw.json.gz")
     stolen["episodes"][0]["episode_id"] = "7"

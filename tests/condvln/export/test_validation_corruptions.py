@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from condvln.export.validation import validate
-from tests.condvln.export.findings import codes, rxr_as_published, write
+from tests.condvln.export.findings import bert_as_published, codes, rxr_as_published, write
 from tests.strict_loader import read
 
 Rng = np.random.Generator
@@ -174,6 +174,14 @@ def test_corruptions_of_rxr_are_named(exported: Path, tmp_path: Path) -> None:
     for seed, (code, spoil) in enumerate(RXR):
         check_corruption(stock, tmp_path, code, spoil, seed)
     assert len(RXR) >= 30
+
+
+def test_corruptions_of_files_indexed_by_bert_are_named(exported: Path, tmp_path: Path) -> None:
+    stock = bert_as_published(exported)
+    for seed, (code, spoil) in enumerate(CORRUPTIONS):
+        # word pieces are not compared with the text
+        check_corruption(stock, tmp_path, "token-range" if code == "token-mismatch" else code, spoil, seed)
+    assert len(CORRUPTIONS) >= 30
 
 
 def first(truths: Any) -> Any:
