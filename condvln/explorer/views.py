@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.episodes.view import SceneView
+from condvln.explorer.shading import shaded
 from condvln.navigation.sight import View, eyes_at
 from condvln.sensors import cameras_of
 from condvln.sensors.pictures import png
@@ -67,7 +68,8 @@ def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[s
         else:
             ahead = places[min(at + 1, len(places) - 1)] - places[min(at, len(places) - 2)]
             heading, caption = math.atan2(-ahead[0], -ahead[2]), f"{walked[at]:.1f} m along the gold path"
-        yield caption, png(np.ascontiguousarray(renderer.look(camera, places[at], heading).rgb[::2, ::2]))
+        seen = shaded(renderer.look(camera, places[at], heading), renderer.labels, camera.hfov)
+        yield caption, png(np.ascontiguousarray(seen[::2, ::2]))
 
 
 def _deciding(facts: Mapping[str, Any], condition: Mapping[str, Any]) -> list[str]:

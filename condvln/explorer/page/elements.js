@@ -38,7 +38,7 @@
     const head = columns.map((heading, k) =>
       element("th", { scope: "col", class: numeric[k] ? "number" : null }, heading.replace(/^#/, "")));
     const body = rows.map((row) => element("tr", {}, row.map((cell, k) =>
-      element(k === 0 ? "th" : "td", { scope: k === 0 ? "row" : null, class: numeric[k] ? "number" : null }, cell))));
+      element(k === 0 ? "th" : "td", { scope: k === 0 ? "row" : null, class: numeric[k] ? "number" : null, "data-heading": columns[k].replace(/^#/, "") }, cell))));
     return element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
       element("table", { "data-table": name || null },
         element("caption", {}, caption), element("thead", {}, element("tr", {}, head)), element("tbody", {}, body)));

@@ -24,11 +24,11 @@
         const kind = leaf === gold ? "gold" : `leaf-${leaf.leaf % 4}`;
         const nodes = [plan.way("paths", leaf.path, kind)];
         for (const [k, stop] of leaf.stops.entries()) {
-          nodes.push(plan.mark(stop.at, `stop ${kind}`, String(k + 1), `leaf ${leaf.leaf}, stop ${k + 1}: ${stop.object}`));
+          nodes.push(plan.mark(stop.at, `stop ${kind}`, String(k + 1), `leaf ${leaf.leaf}, stop ${k + 1}: ${explorer.thing(plan.scene, stop.object)}`));
         }
         for (const goal of leaf.goals.slice(1)) nodes.push(plan.mark(goal, `dot ${kind}`, "", `leaf ${leaf.leaf}: another goal point`));
         const end = leaf.path[leaf.path.length - 1];
-        nodes.push(plan.mark(end, `${leaf === gold ? "star" : "goal"} ${kind}`, String(leaf.leaf), `leaf ${leaf.leaf}: ${leaf.object}`));
+        nodes.push(plan.mark(end, `${leaf === gold ? "star" : "goal"} ${kind}`, String(leaf.leaf), `leaf ${leaf.leaf}: ${explorer.thing(plan.scene, leaf.object)}`));
         leaves.set(leaf.leaf, nodes);
       }
       plan.arrow("marks", episode.start, episode.heading, "start");
@@ -144,9 +144,9 @@
     return `not proven: ${proof.disagreements.length} disagreements ${kinds.join(", ")}`;
   }
 
-  function leafTable(episode) {
+  function leafTable(episode, scene) {
     const rows = episode.leaves.map((leaf) => [
-      `${leaf.leaf}${leaf.leaf === episode.gold ? " ★ gold" : ""}`, leaf.object, leaf.stops.map((stop) => stop.object).join(", ") || "–",
+      `${leaf.leaf}${leaf.leaf === episode.gold ? " ★ gold" : ""}`, explorer.thing(scene, leaf.object), leaf.stops.map((stop) => explorer.thing(scene, stop.object)).join(", ") || "–",
       number(leaf.geodesic_distance), number(leaf.route_length)]);
     return explorer.table("Leaves", ["leaf", "goal", "stops before it", "#direct, m", "#by its stops, m"], rows, "leaves");
   }
@@ -168,7 +168,8 @@
 
   function frames(episode) {
     if (!episode.frames.length) return null;
-    return element("section", {}, element("h2", {}, "What is seen"), element("div", { class: "frames" },
+    return element("section", {}, element("h2", {}, "What is seen"),
+      element("p", { class: "note" }, "Drawn from the dataset's own geometry. Things without a texture have one colour for each label; nothing is known where it is grey."), element("div", { class: "frames" },
       episode.frames.map((frame) => element("figure", {}, element("img", { src: frame.file, alt: frame.caption, loading: "lazy" }),
         element("figcaption", {}, frame.caption)))));
   }
@@ -189,14 +190,14 @@
         node.classList.toggle("lit", Boolean(same));
         node.setAttribute("aria-pressed", String(Boolean(same && fixed)));
       }
-      if (now?.condition !== undefined) details.replaceChildren(explorer.facts(episode, now.condition));
+      if (now?.condition !== undefined) details.replaceChildren(explorer.facts(episode, now.condition, scene));
     }
     const playback = !small && Object.keys(walks).length ? new explorer.Playback(walks, (agent) => outcomeText(row, agent)) : null;
     const panel = planPanel(scene, episode, drawn, playback && ((plan) => playback.attach(plan)));
     root.append(
       element("div", { class: "left" }, panel.node, playback && playback.node),
       element("div", { class: "right" }, explorer.instructionText(episode, choose), explorer.tree(episode, choose), details,
-        small ? null : leafTable(episode), small ? null : agentTable(row), small ? null : axes(episode)));
+        small ? null : leafTable(episode, scene), small ? null : agentTable(row), small ? null : axes(episode)));
     if (!small) root.append(frames(episode) || "");
     return { node: root, episode, shown: panel.draw };
   };

@@ -79,7 +79,7 @@
   const LEVELS = { O0: "seen from the start", O1: "seen on the way that all leaves share", O2: "seen only after a detour" };
 
   /* Return what decides a condition: rule, things with measures, what the certificate says, and where it is seen. */
-  explorer.facts = (episode, number_) => {
+  explorer.facts = (episode, number_, scene) => {
     const condition = episode.program.conditions[number_];
     const facts = episode.facts?.[number_];
     const proof = episode.certificate?.conditions?.[number_];
@@ -88,17 +88,17 @@
     const lines = [element("h3", {}, `${letter(number_)}: ${explorer.conditionName(condition)} — ${condition.truth ? "true" : "false"}`)];
     if (facts) {
       const rows = facts.things.map((thing) => [
-        thing.id, thing.role,
+        explorer.thing(scene, thing.id), thing.role,
         thing.value === undefined || thing.value === null ? "–" : `${thing.measure} ${number(thing.value)} ${thing.unit}`,
         thing.margin === undefined || thing.margin === null ? "–" : number(thing.margin)]);
       lines.push(element("p", {}, `Rule: ${facts.rule}.`));
       lines.push(rows.length ? explorer.table("Things that decide it", ["thing", "role", "measure", "#margin"], rows, "facts")
         : element("p", {}, `No ${condition.label} is in this room, nor anywhere else in the scene.`));
     } else if (condition.witnesses.length) {
-      lines.push(element("p", {}, `Witnesses: ${condition.witnesses.join(", ")}.`));
+      lines.push(element("p", {}, `Witnesses: ${condition.witnesses.map((id) => explorer.thing(scene, id)).join(", ")}.`));
     }
     if (proof) {
-      const numbers = Object.entries(proof.numbers).map(([name, value]) => `${name.replaceAll("_", " ")} ${number(value, 3)}`);
+      const numbers = Object.entries(proof.numbers).filter(([, value]) => value !== null).map(([name, value]) => `${name.replaceAll("_", " ")} ${number(value, 3)}`);
       lines.push(element("p", { class: "proof" },
         `Certificate: ${proof.truth ? "true" : "false"}${numbers.length ? `, ${numbers.join(", ")}` : ""}.`));
     }

@@ -239,6 +239,12 @@
 
   explorer.Plan = Plan;
 
+  /* Return an object's label and id, or its id alone where only an export is known. */
+  explorer.thing = (scene, id) => {
+    const found = scene.objects.find((item) => item.id === id);
+    return found ? `${found.label} (${id})` : id;
+  };
+
   /* Return the storeys of a scene, sorted. */
   explorer.levels = (scene) => [...new Set(scene.rooms.map((room) => room.level))].sort((a, b) => a - b);
 }

@@ -39,14 +39,16 @@
     return [...others.values()].sort((a, b) => (a.used ?? 99) - (b.used ?? 99));
   }
 
-  function relationTable(found, scene, pick) {
-    const said = (one) => one.semantic.map((edge) => element("span", { class: edge.inText ? "fit" : "unfit" },
-      `${edge.predicate} (${edge.inText ? "fit for text" : "not for text"}${edge.margin === null ? "" : `, margin ${number(edge.margin)}`}) `));
+  function relationTable(found, scene, item, pick) {
+    const said = (one) => element("ul", { class: "predicates" }, one.semantic.map((edge) => element("li", { class: edge.inText ? "fit" : "unfit" },
+      `${edge.inText ? "✔ " : ""}${edge.predicate}${edge.margin === null ? "" : ` ${number(edge.margin)}`}`)));
     const rows = found.map((one) => [
-      element("button", { type: "button", class: "as-link", onclick: () => pick(one.other) }, scene.objects[one.other].id), one.direction || "–",
+      element("button", { type: "button", class: "as-link", onclick: () => pick(one.other) }, explorer.thing(scene, scene.objects[one.other].id)), one.direction || "–",
       number(one.used), number(one.surface), number(one.horizontal), number(one.height), one.semantic.length ? said(one) : "–"]);
-    return explorer.table("Relations to the other objects of its room",
-      ["of", "it lies", "#distance, m", "#surfaces, m", "#on the ground, m", "#higher, m", "predicates"], rows, "edges");
+    return element("section", { class: "relations" }, explorer.table(`Relations of the ${item.label} (${item.id}) to the other objects of its room`,
+      ["to", "it lies", "#distance, m", "#surfaces, m", "#on the ground, m", "#higher, m", "predicates"], rows, "edges"),
+      element("p", { class: "note" }, "Distances: between the boxes, between the surfaces, between the centres on the ground; and how much higher the chosen object is. "
+        + "✔: text may say so. The number after a predicate is its margin in widths of the dead zone; text needs at least 1, and the predicate's other rules."));
   }
 
   explorer.views.scene = async (main, path, asked) => {
@@ -62,6 +64,7 @@
       ? scene.rooms.map((room, k) => element("optgroup", { label: explorer.shown(`${room.label} (${room.id})`) },
         scene.objects.map((item, n) => (item.room === k ? element("option", { value: n }, `${item.label} (${item.id})${item.hidden ? " hidden" : ""}`) : null))))
       : scene.objects.map((item, n) => element("option", { value: n }, item.id)));
+    const relations = element("div", { class: "wide", id: "relations" });
     let plan = null;
     let chosen = -1;
 
@@ -71,7 +74,8 @@
       list.value = String(chosen);
       history.replaceState(null, "", explorer.address(`scene/${encodeURIComponent(name)}`, { object: item.id }));
       const found = graph ? edges(graph, scene, chosen) : [];
-      details.replaceChildren(element("h2", {}, `${item.label} (${item.id})`), describe(item, scene), graph ? relationTable(found, scene, pick)
+      details.replaceChildren(element("h2", {}, `${item.label} (${item.id})`), describe(item, scene));
+      relations.replaceChildren(graph ? relationTable(found, scene, item, pick)
         : element("p", {}, "Relations are known only where a configuration is explored."));
       light(found);
       explorer.say(`${item.label}, ${found.length} relations`);
@@ -110,7 +114,7 @@
       element("div", { class: "episode" }, element("div", { class: "left" }, holder, element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), storey),
         element("ul", { class: "legend" }, [["chosen", "chosen"], ["witness", "near it"], ["anchor", "in, on or under it"], ["hidden", "hidden"]].map(([kind, text]) =>
           element("li", {}, element("span", { class: `key ${kind}` }), text)))),
-      element("div", { class: "right" }, element("label", { for: "objects" }, "Objects by room"), list, details)));
+      element("div", { class: "right" }, element("label", { for: "objects" }, "Objects by room"), list, details), relations));
     draw();
     new ResizeObserver(explorer.later(() => { if (holder.isConnected && Math.abs(holder.clientWidth - plan.width) > 2) draw(); }, 120)).observe(holder);
     const wanted = scene.objects.findIndex((item) => item.id === asked.object);
