@@ -38,9 +38,11 @@ class _Listener:
     """Interprets a template from left to right as a listener does.
 
     asks : (context, condition, truth of the "if", or None for a question), in order
+    supposed : the same for the last "if", also for one with an answer
     """
 
     asks: list[tuple[Context, int, bool | None]] = field(default_factory=list)
+    supposed: tuple[Context, int, bool] | None = None
     context: Context = ()
     listed: bool = False
     leaves: dict[int, list[Context]] = field(default_factory=dict)
@@ -96,7 +98,7 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
     for piece in pieces:
         if isinstance(piece, Slot):
             _hear_slot(listener, piece, supposing, agreeing=bool(agreeing))
-            sentence_ifs += supposing and piece.form in ("asserted", "denied")
+            sentence_ifs += supposing
             supposing = False
             if piece.form == "see":
                 sentence = listener.context
@@ -114,12 +116,14 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
                 context, condition, truth = _latest(listener)
                 if name == "so" and truth is False:
                     raise ValueError(f'"so" after a denial of condition {condition} agrees with the denial')
+                listener.supposed = (context, condition, name == "so")
                 listener.context = (*context, (condition, name == "so"))
+                sentence_ifs += 1
                 supposing = False
             elif name == "otherwise":
-                context, condition, truth = _latest(listener)
-                if truth is None or previous_ifs != 1:
+                if listener.supposed is None or previous_ifs != 1:
                     raise ValueError('"otherwise" follows a sentence that does not have exactly one "if"')
+                context, condition, truth = listener.supposed
                 listener.context = (*context, (condition, not truth))
                 sentence_ifs = 0
             elif name in ("neither", "none"):
@@ -148,6 +152,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
             raise ValueError(f"the answer agrees with the denial of condition {condition}")
         if condition != slot.index:
             raise ValueError(f"the answer about condition {slot.index} comes after condition {condition} was asked")
+        listener.supposed = (context, condition, slot.form in ("yes", "again"))
         listener.context = (*context, (condition, slot.form in ("yes", "again")))
     elif slot.form in ("question", "see"):
         listener.asks.append((listener.context, slot.index, None))
@@ -162,6 +167,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
         if listener.listed:
             before = (*before, *((condition, not held) for _, condition, held in listener.asks))
         listener.asks.append((before, slot.index, truth))
+        listener.supposed = (before, slot.index, truth)
         listener.context = (*before, (slot.index, truth))
 
 

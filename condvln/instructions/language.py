@@ -11,7 +11,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from itertools import pairwise
 from typing import Any, Final, Literal
@@ -32,8 +32,8 @@ LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
     "exists", "absent", "exists_again", "is_there", "is", "is_not", "is_again", "asks_is",
-    "see", "check", "for", "yes_one", "no_one", "yes_it", "no_it",
-    "go", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
+    "see", "check", "for", "look", "yes_one", "no_one", "yes_it", "no_it",
+    "go", "then", "last", "second", "in", "of", "of_anchor", "there", "place", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
@@ -118,9 +118,13 @@ class Language:
 
     slots : all phrases of each slot, over all voices
     elliptic : answers that repeat the verb of "there is", used only after a question with that verb
+    placed : answers that something is at a place, used only if the question names one
     connectives : words that connect clauses, by function
     predicates : phrases of predicates with anchors; both : the word between two anchors
     lying : words between the noun of a stop and its relation, one of which a text uses ("que está"); none in English
+    unlinked : predicates that follow the noun of a stop without these words
+    restates_noun : whether an earlier condition is denied by its noun alone, if the text has this noun only there
+    compounds : labels and room types that make a noun of two words ("the kitchen sink")
     room_first : whether the room comes before "there is" ("en la cocina hay")
     bearings : egocentric phrases; a text uses the phrases at the same index of all lists; bearing_stops : egocentric
             phrases that follow the noun of a stop
@@ -133,9 +137,13 @@ class Language:
     voices: tuple[Voice, ...]
     slots: Mapping[str, tuple[str, ...]]
     elliptic: frozenset[str]
+    placed: frozenset[str]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
     lying: tuple[str, ...]
+    unlinked: frozenset[str]
+    restates_noun: bool
+    compounds: tuple[frozenset[str], frozenset[str]]
     room_first: bool
     bearings: Mapping[Predicate, tuple[str, ...]]
     bearing_stops: Mapping[Predicate, tuple[str, ...]]
@@ -163,6 +171,12 @@ class Language:
         special = [pair for those in self.nouns_in.values() for pair in those.items()]
         return [*self.nouns.items(), *dict.fromkeys(special)]
 
+    @cached_property
+    def noun_texts(self) -> frozenset[str]:
+        """All nouns, and what they begin with: no compound of a room and a noun may be one of them."""
+        nouns = [noun.text.split() for _, noun in self.nouns_of_all_rooms]
+        return frozenset(" ".join(words[:k]) for words in nouns for k in range(1, len(words) + 1))
+
     def definite(self, noun: Noun) -> str:
         """Return the noun with its definite article: "the lamp"."""
         return f"{self.articles['definite'][noun.kind]} {noun.text}"
@@ -177,8 +191,19 @@ class Language:
         """Return a phrase with its noun filled in: "there's {a}" becomes "there's a lamp"."""
         if "{" in phrase:
             phrase = phrase.replace("{a}", self.articles["indefinite"][noun.kind])
-            phrase = phrase.replace("{none}", self.articles.get("none", {}).get(noun.kind, ""))
         return f"{phrase} {noun.text}"
+
+    def that(self, noun: Noun) -> str:
+        """Return the noun with the article that points back: "that bedroom"."""
+        return f"{self.articles['that'][noun.kind]} {noun.text}"
+
+    def compound(self, noun: Noun, room: Noun) -> str:
+        """Return the noun behind that of its room: "the kitchen sink"."""
+        return f"{self.articles['definite'][room.kind]} {room.text} {noun.text}"
+
+    def agreeing(self, phrase: str, noun: Noun) -> str:
+        """Return the phrase of a relation with its adjective in the class of the noun before it."""
+        return phrase.replace("{cercano}", self.articles["nearest"][noun.kind]) if "{" in phrase else phrase
 
     def answered(self, phrase: str, noun: Noun) -> str:
         """Return an answer phrase with the pronoun of `noun` filled in: "{lo} hay" becomes "la hay"."""
@@ -214,9 +239,13 @@ def language(code: str = "en") -> Language:
         voices=voices,
         slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
         elliptic=frozenset(document["elliptic"]),
+        placed=frozenset(document.get("placed", ())),
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in (*SUPERLATIVES, *BEARINGS)},
         lying=tuple(document.get("lying", ())),
+        unlinked=frozenset(document.get("unlinked", ())),
+        restates_noun=bool(document.get("restates_noun")),
+        compounds=(frozenset(document["compounds"]["nouns"]), frozenset(document["compounds"]["rooms"])),
         room_first=bool(document.get("room_first")),
         bearings={p: tuple(document["bearings"][p]) for p in BEARINGS},
         bearing_stops={p: tuple(document["bearing_stops"][p]) for p in BEARINGS},

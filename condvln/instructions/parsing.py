@@ -25,11 +25,14 @@ from schemas.program import BEARINGS, CATEGORIES, SHAPES, Category, Predicate, a
 __all__ = ["grammar_source", "parse", "parser", "reading_from_tree", "template_of"]
 
 PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP", "?": "QUESTION"}
-ANSWERS: Final = ("yes_one", "yes_it", "no_one", "no_it")
-"""Slots whose phrases answer a question; they show what kind of question it was."""
+ANSWERS: Final = ("yes_one", "yes_it", "yes_any", "no_one", "no_it", "no_any")
+"""Rules of the phrases that answer a question; all but two show what kind of question it was."""
 
 _RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no"}
 """Grammar rules of slots that have another name; an answer may be given in full."""
+
+_ARTICLES: Final = (("a", "indefinite"), ("lo", "pronoun"), ("cercano", "nearest"))
+"""Words of phrases that agree with a noun, and their lists of forms."""
 
 _TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
 """Pattern of the words, numbers in brackets and punctuation of a template."""
@@ -95,16 +98,17 @@ class _GrammarWriter:
     def source(self) -> str:
         w, rules = self.words, []
         for name, phrases in w.slots.items():
-            if name not in ("then", "second", "last", "there", *ANSWERS):
+            if name not in ("then", "second", "last", "there", "place", *ANSWERS):
                 rules.append(f"_{name}: {self._any(phrases)}")
         rules.append(f"_joint: {self._any([*w.slots['then'], *w.slots['second'], *w.slots['last']])}")
         there = " | there" if w.slots["there"] else ""
         if there:
             rules.append(f"there: {self._any(w.slots['there'])}")
-        lying = "_lying " if w.lying else ""
+        rules.append(f"place: {self._any(w.slots['place'])}")
+        lying = "[_lying] " if w.lying else ""
         if lying:
             rules.append(f"_lying: {self._any(w.lying)}")
-        rules += [f"{name}: {self._any(w.slots[name])}" for name in ANSWERS]
+        rules += self._answers()
         rules += [f"{_rule(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
         rules += [f"{_rule(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
         rules += [f"direction_{_rule(name)}: {self._any([text])}" for name, text in w.directions.items()]
@@ -118,31 +122,39 @@ class _GrammarWriter:
             "moves: _go object (_joint object)*",
             f"object: _THE _noun [_where_of] | _THE _noun ({lying}qualifier [_where_anchor] | bearing_stop)",
             f"    | {compared} [_where_of]",
-            "_where: _in room",
-            "_where_anchor: _of_anchor room",
+            *(["    | compound"] if w.compounds[0] else []),
+            "compound: _THE ROOM NOUN",
+            "_where: _in room | place",
+            f"_where_anchor: _of_anchor room{there}",
             f"_where_of: _of room{there}",
             "room: _THE (ROOM | BOTH) [_with _THE _noun]",
+            "    | _THAT (ROOM | BOTH) -> same_room",
             f"qualifier: ({one_anchor}) _THE _noun | {_rule('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
             "bearing: " + " | ".join(_rule(b) for b in w.bearings),
             "bearing_stop: " + " | ".join(f"{_rule(b)}_stop" for b in w.bearing_stops),
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             f"asserted: {self._either('exists')} _noun [qualifier] [_where] -> some",
             *(["    | _in room _exists _noun [qualifier] -> some"] if w.room_first else []),
+            *(["    | place _exists _noun -> some"] if w.room_first else []),
             f"    | _THE _noun [_where_of] {self._either('is')} (qualifier | bearing) -> the",
             f"    | COMMA _in room COMMA _THE _noun {self._either('is')} (qualifier | bearing) -> the",
+            *([f"    | compound {self._either('is')} (qualifier | bearing) -> the"] if w.compounds[0] else []),
             "denied: _absent _noun [qualifier] [_where] -> some",
             *(["    | _in room _absent _noun [qualifier] -> some"] if w.room_first else []),
             "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
             "    | COMMA _in room COMMA _THE _noun _is_not (qualifier | bearing) -> the",
+            *(["    | compound _is_not (qualifier | bearing) -> the"] if w.compounds[0] else []),
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
             "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
+            *(["    | _asks_is compound (qualifier | bearing) QUESTION -> the"] if w.compounds[0] else []),
             "see: _see asserted",
+            "    | _look _noun [qualifier] [_where] -> some",
             *(
                 [] if w.room_first else ["    | _check room _for _noun [qualifier] -> some"]
             ),  # it is "see" with the room first
             "_noun: NOUN | BOTH",
-            "yes: yes_one | yes_it | asserted",
-            "no: no_one | no_it | denied",
+            f"yes: {' | '.join(self._answering('yes'))} | asserted",
+            f"no: {' | '.join(self._answering('no'))} | denied",
         ]
         bodies: dict[str, str] = {}
         for category in CATEGORIES:
@@ -155,6 +167,19 @@ class _GrammarWriter:
             rules.append(f"{name}: " + " | ".join(right for right, its in bodies.items() if its == name))
         rules.append("body: " + " | ".join(dict.fromkeys(bodies.values())))
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
+
+    def _answers(self) -> list[str]:
+        """Return the rules of the answers. Those that answer any question have a rule of their own."""
+        slots, rules = self.words.slots, []
+        for word in ("yes", "no"):
+            one, it = slots[f"{word}_one"], slots[f"{word}_it"]
+            kinds = {"one": set(one) - set(it), "it": set(it) - set(one), "any": set(one) & set(it)}
+            rules += [f"{word}_{kind}: {self._any(sorted(those))}" for kind, those in kinds.items() if those]
+        return rules
+
+    def _answering(self, word: str) -> list[str]:
+        """Return the names of the rules of the answers "yes" or "no"."""
+        return [rule.split(":")[0] for rule in self._answers() if rule.startswith(f"{word}_")]
 
     def _either(self, slot: str) -> str:
         """Return what the grammar accepts at `slot`: the slot's rule, or either of two rules if the slot has further
@@ -173,7 +198,7 @@ class _GrammarWriter:
 
     def _terminal(self, phrase: str) -> str:
         pattern = _pattern(self.words.expanded(phrase))
-        for slot, kind in (("a", "indefinite"), ("none", "none"), ("lo", "pronoun")):
+        for slot, kind in _ARTICLES:
             articles = sorted(set(self.words.articles.get(kind, {}).values()), key=lambda x: (-len(x), x))
             pattern = pattern.replace(rf"\{{{slot}\}}", f"(?:{'|'.join(articles)})")
         return self.terminals.setdefault(pattern, f"_PHRASE_{len(self.terminals)}")
@@ -187,6 +212,7 @@ class _GrammarWriter:
             "ROOM": _alternatives(rooms - nouns, nouns),
             "BOTH": _alternatives(nouns & rooms) if nouns & rooms else "(?!)x",
             "_THE": _alternatives(w.articles["definite"].values()),
+            "_THAT": _alternatives(w.articles["that"].values()),
         }
         lines = [f"{name}: /{pattern}/" for pattern, name in self.terminals.items()]
         lines += [f"{name}: /{pattern}/" for name, pattern in named.items()]
@@ -244,6 +270,7 @@ def reading_from_tree(tree: Node, words: Language) -> Reading:
 class _TreeReader:
     """Interprets a tree from left to right, since "there" refers to the room named last.
 
+    known : rooms of the things that the text has named with their room, by label
     asked_room : room of the previous condition; also that of the next one if it asks about a definite object and names
         no room
     """
@@ -257,6 +284,7 @@ class _TreeReader:
         self.last_room: Place | None = None
         self.asked_room: Place | None = None
         self.introduced: set[Place] = set()
+        self.known: dict[str, set[Place]] = {}
 
     def reading(self, tree: Node) -> Reading:
         heading, scope, body = _parts(tree, "direction", "room", "body")
@@ -279,19 +307,24 @@ class _TreeReader:
             if answers:
                 (subtree,) = _subtrees(subtree)
                 if subtree.data in ANSWERS:
-                    if str(subtree.data).endswith("_it") != conditions[slot.index].definite:
+                    kind = str(subtree.data).partition("_")[2]
+                    if kind != "any" and (kind == "it") != conditions[slot.index].definite:
                         raise FormatError(f"the answer to {conditions[slot.index]} does not fit the question")
                     continue
             phrase = self._asked(subtree)
             before = conditions.get(slot.index)
-            if before is not None and phrase.room is None and (answers or phrase.qualifier is not None):
-                phrase = replace(phrase, room=before.room)  # asked about before, so its room is known
+            if before is not None and phrase.room in (None, self.scope):
+                # It was asked about before, so its room is known, and its relation where only the noun is said.
+                if self.words.restates_noun and phrase.qualifier is None and not phrase.definite:
+                    phrase = replace(phrase, qualifier=before.qualifier)
+                phrase = replace(phrase, room=before.room)
                 self.last_room = None
             elif before is None and phrase.room is None and phrase.definite:
                 phrase = replace(phrase, room=self.asked_room)
             if conditions.setdefault(slot.index, phrase) != phrase:
                 raise FormatError(f"the text names one condition as {conditions[slot.index]} and as {phrase}")
             self.asked_room = phrase.room
+            self._know(phrase, definite=phrase.definite)
         shape = SHAPES[category]
         return Reading(
             category=category,
@@ -301,15 +334,30 @@ class _TreeReader:
         )
 
     def _stops(self, trees: Iterable[Node]) -> tuple[Phrase, ...]:
-        """Return the stops of a leaf; a stop without a room is in the room of the stop before it."""
+        """Return the stops of a leaf. A stop without a room is in the room of the stop before it; the first one is
+        where the text named it, or an anchor of it, before.
+        """
         found: list[Phrase] = []
         for tree in trees:
             stop = self._stop(tree)
             at_start = stop.qualifier is not None and stop.qualifier[0] in BEARINGS
-            if stop.room is None and found and not at_start:
-                stop = replace(stop, room=found[-1].room)
+            if stop.room is None and not at_start:
+                stop = replace(stop, room=found[-1].room if found else self._known(stop))
+            self._know(stop, definite=True)
             found.append(stop)
         return tuple(found)
+
+    def _known(self, stop: Phrase) -> Place | None:
+        """Return the room in which the text named a stop, or an anchor of it; None if it named no room for them."""
+        rooms = {room for label in _labels(stop) for room in self.known.get(label, ())}
+        if len(rooms) > 1:
+            raise FormatError(f"the text says 'the {stop.label}' where {len(rooms)} rooms could be meant")
+        return next(iter(rooms), None)
+
+    def _know(self, named: Phrase, *, definite: bool) -> None:
+        if named.room is not None:
+            for label in _labels(named)[0 if definite else 1 :]:
+                self.known.setdefault(label, set()).add(named.room)
 
     def _asked(self, tree: Node) -> Phrase:
         """Return the phrase of a condition. In a request to check something, the condition is the clause inside the
@@ -329,9 +377,12 @@ class _TreeReader:
             if isinstance(child, Token):
                 label = self.labels[_plain(child)] if child.type in ("NOUN", "BOTH") else label
             elif isinstance(child, Tree):
-                if child.data == "room":
+                if child.data in ("room", "same_room"):
                     room = self._place(child)
-                elif child.data == "there":
+                elif child.data == "compound":
+                    room = self._place(child)
+                    label = self.labels[_plain(_tokens(child)[1])]
+                elif child.data in ("there", "place"):
                     if self.last_room is None:
                         raise FormatError("the text says 'there' before it names a room")
                     room = self.last_room
@@ -349,18 +400,23 @@ class _TreeReader:
     def _place(self, tree: Node) -> Place:
         room, *anchor = _tokens(tree)
         label = self.rooms[_plain(room)]
-        if anchor:
+        if anchor and tree.data == "room":
             self.last_room = Place(label, self.labels[_plain(anchor[0])])
             self.introduced.add(self.last_room)
             return self.last_room
         before = [place for place in self.introduced if place.label == label]
-        if len(before) > 1:
+        if len(before) > 1 or (tree.data == "same_room" and not before):
             raise FormatError(f"the text says 'the {_plain(room)}' where {len(before)} rooms could be meant")
         self.last_room = before[0] if before else Place(label)
         return self.last_room
 
     def _labels(self, tree: Node) -> tuple[str, ...]:
         return tuple(self.labels[_plain(token)] for token in _tokens(tree))
+
+
+def _labels(named: Phrase) -> tuple[str, ...]:
+    """Return the labels of an object and of its anchors."""
+    return (named.label, *(named.qualifier[1] if named.qualifier is not None else ()))
 
 
 def _named(body: Node) -> tuple[Category, int]:

@@ -25,7 +25,7 @@ SO_FAR: Final = "\n"
 """Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
 
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
-_ARTICLES: Final = {"{a}": "indefinite", "{none}": "none", "{lo}": "pronoun"}
+_ARTICLES: Final = {"{a}": "indefinite", "{lo}": "pronoun", "{cercano}": "nearest"}
 
 Match = tuple[str, str, frozenset[str]]
 """A match: the kind of phrase, its value, and the noun classes that its article agrees with."""
@@ -42,6 +42,7 @@ class Phrasebook:
     tree : words to nodes; under `END` the phrases that end there, under `SO_FAR` also those on the path
     contractions : the words that a contraction stands for
     lying : whether stops have words between noun and relation ("que está")
+    restates_noun : whether an earlier condition may be named again by its noun alone
     room_first : whether a room comes before "there is" ("en la cocina hay")
     """
 
@@ -49,6 +50,7 @@ class Phrasebook:
     contractions: Mapping[str, tuple[str, ...]]
     classes: frozenset[str]
     lying: bool
+    restates_noun: bool
     room_first: bool
 
     def tokens(self, text: str) -> list[str]:
@@ -73,7 +75,12 @@ def phrasebook(code: str = "en") -> Phrasebook:
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
     book = Phrasebook(
-        {}, together, frozenset(articles["definite"]), bool(document.get("lying")), bool(document.get("room_first"))
+        {},
+        together,
+        frozenset(articles["definite"]),
+        lying=bool(document.get("lying")),
+        restates_noun=bool(document.get("restates_noun")),
+        room_first=bool(document.get("room_first")),
     )
     for slot in document["phrases"]:
         for phrase in _phrases(document, slot):
@@ -91,7 +98,8 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for predicate, phrases in document["predicates"].items():
         direction = document["directions"].get(predicate.removesuffix(" of"), "")
         for phrase in phrases:
-            book.add(phrase.replace("{direction}", direction), "predicate", predicate, book.classes)
+            for text, _ in _with_articles(phrase.replace("{direction}", direction), articles):
+                book.add(text, "predicate", predicate, book.classes)
     book.add(document["both"], "both", "", book.classes)
     superlatives: Mapping[str, Any] = document["superlatives"]
     place = "superlative" if superlatives["before_noun"] else "superlative_behind"
@@ -102,6 +110,8 @@ def phrasebook(code: str = "en") -> Phrasebook:
         book.add(word, "direction", name, book.classes)
     for text, classes in _with_articles("{the}", {**articles, "{the}": articles["definite"]}):
         book.add(text, "the", "", classes)
+    for noun_class, text in articles["that"].items():
+        book.add(text, "that", "", (noun_class,))
     for kind, entries in (("noun", _nouns(code, "nouns")), ("room", _nouns(code, "rooms"))):
         for label, (noun, noun_class) in entries.items():
             book.add(noun, kind, label, (noun_class,))

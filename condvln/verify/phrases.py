@@ -168,6 +168,22 @@ class PhraseReader:
             for after, _, _ in self._of(end, "with"):
                 for stop, anchor in self._definite(after, "noun"):
                     yield stop, Named(label, anchor)
+        for middle, _, classes in self._of(at, "that"):
+            for end, label in self._agreeing(middle, "room", classes):
+                before = {room for place, room in self._set_apart() if place < at and room.label == label}
+                if len(before) == 1:
+                    yield end, before.pop()
+
+    def _in_its_room(self, at: int) -> Iterator[tuple[int, str, Named]]:
+        """Parse a noun behind that of its room: "the kitchen sink". Yield (end, label, room). A noun of two words, such
+        as "the kitchen cabinet", is the longer and therefore the better reading.
+        """
+        for start, _, classes in self._of(at, "the"):
+            longest = max((end for end, _ in self._agreeing(start, "noun", classes)), default=start)
+            for middle, room in self._agreeing(start, "room", classes):
+                ends = [(end, label) for end, label, _ in self._of(middle, "noun") if end > longest]
+                if ends:
+                    yield *max(ends), Named(room, None)
 
     def _set_apart(self) -> Sequence[tuple[int, Named]]:
         """Return (position, room) for each place in the text that names a room by an object, such as "the bedroom with
@@ -214,7 +230,7 @@ class PhraseReader:
         lying : whether words like "que está" come before the relation
         """
         yield at, None
-        for start in [end for end, _, _ in self._of(at, "lying")] if lying else [at]:
+        for start in [at, *(end for end, _, _ in self._of(at, "lying"))] if lying else [at]:
             yield from self._related(start)
 
     def _where(
@@ -229,7 +245,7 @@ class PhraseReader:
             for stop, room in self._rooms(end):
                 yield stop, room, room
         if last is not None:
-            for end, _, _ in self._of(at, "there") if belonging else ():
+            for end, _, _ in self._of(at, "there" if belonging or behind else "place"):
                 yield end, last, last
 
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
@@ -243,6 +259,8 @@ class PhraseReader:
             for stop, bearing, _ in self._of(end, "bearing_stop"):
                 # It is where the agent starts; "there" would be ambiguous after it.
                 yield stop, Phrase(label, (bearing, ()), None), None
+        for end, label, room in self._in_its_room(at):
+            yield end, Phrase(label, None, room), room
         for end, label, compared in self._compared(at):
             for after, room, named in self._where(end, last, belonging=True):
                 yield after, Phrase(label, compared, room), named
@@ -264,6 +282,10 @@ class PhraseReader:
                     for stop, label in self._agreeing(after, "noun", classes):
                         for place, qualifier in self._qualified(stop):
                             yield place, Phrase(label, qualifier, room), room
+        for end, _, _ in self._of(at, "place") if self.book.room_first and last is not None else ():
+            for after, _, classes in self._of(end, slot):
+                for stop, label in self._agreeing(after, "noun", classes):
+                    yield stop, Phrase(label, None, last), last
 
     def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse what follows "check" in "check the bedroom for a lamp near the bed". Yield (end, claim, room named
@@ -287,6 +309,12 @@ class PhraseReader:
                         yield stop, Phrase(label, qualifier, room, True), named
                     for stop, bearing, _ in self._of(verb, "bearing"):
                         yield stop, Phrase(label, (bearing, ()), room, True), named
+        for after, label, room in self._in_its_room(at):
+            for verb in [after] if slot is None else [stop for stop, _, _ in self._of(after, slot)]:
+                for stop, qualifier in self._related(verb):
+                    yield stop, Phrase(label, qualifier, room, True), room
+                for stop, bearing, _ in self._of(verb, "bearing"):
+                    yield stop, Phrase(label, (bearing, ()), room, True), room
 
     def _known_in(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse claims such as ", in the bedroom that has the desk, the lamp is near the bed". The verb is one of the
@@ -319,6 +347,7 @@ class PhraseReader:
                     yield stop, what, named
         for end, _, _ in self._of(at, "check"):
             yield from self._checked(end)
+        yield from self._some("look", at, last)
         questions = [*self._some("is_there", at, last)]
         questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]
         yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 from condvln.verify.phrasebook import Phrasebook, phrasebook
 from condvln.verify.phrases import Moves, Named, Phrase, PhraseReader
+from condvln.verify.standpoint import BEARINGS
 
 __all__ = ["MAX_CONDITIONS", "TextReading", "Unreadable", "read"]
 
@@ -48,11 +49,13 @@ class _Ask(NamedTuple):
     """A question or an "if" of a text: the cases to which it applies (`context`), and the index of its condition.
 
     guard : for an "if", the cases in which what it says is true; None for a question
+    answer : the cases of the last answer after an "if"; None without one
     """
 
     context: int
     condition: int
     guard: int | None
+    answer: int | None = None
 
 
 class _State(NamedTuple):
@@ -61,7 +64,7 @@ class _State(NamedTuple):
     room : the room named last
     rules : (cases, moves) so far
     asks : questions and "if"s in order
-    open : indices in `asks` of "if"s that have no "otherwise" yet
+    open : indices in `asks` of those claimed or answered after an "if" that has no "otherwise" yet
     listed : inside a list, the cases of its entries so far; None outside lists
     early : some answer did not refer to the latest question
     """
@@ -150,20 +153,21 @@ class _Reader(PhraseReader):
         for end, _, _ in self._of(at, "filler"):
             yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
         for end, _, _ in self._of(at, "but"):
-            yield from self._clause(state._replace(at=end), context, base)
+            yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
         for end, _, _ in self._of(at, "if"):
             yield from self._supposed(state._replace(at=end), context & base, base)
             yield from self._answered(state._replace(at=end), base)
         for end, _, _ in self._of(at, "otherwise"):
             for place in state.open:
                 ask = state.asks[place]
-                assert ask.guard is not None
+                supposed = ask.guard if ask.answer is None else ask.answer
+                assert supposed is not None
                 meant = state._replace(
                     at=end,
                     open=tuple(other for other in state.open if other != place),
                     early=state.early or place != len(state.asks) - 1,
                 )
-                yield from self._comma(meant, ask.context & ~ask.guard, base)
+                yield from self._comma(meant, ask.context & ~supposed, base)
         yield from self._request(state, context & base, base)
 
     def _supposed(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
@@ -196,7 +200,11 @@ class _Reader(PhraseReader):
                         continue
                     cases = ask.context & (_HOLDS[ask.condition] if answer else ~_HOLDS[ask.condition])
                     early = state.early or place != len(state.asks) - 1
-                    yield from self._but(state._replace(at=end, early=early), cases, base)
+                    guard = _HOLDS[ask.condition] if answer else _ALWAYS & ~_HOLDS[ask.condition]
+                    asks = (*state.asks[:place], ask._replace(answer=guard), *state.asks[place + 1 :])
+                    opened = (*(other for other in state.open if other != place), place)
+                    answered = state._replace(at=end, early=early, asks=asks, open=opened)
+                    yield from self._but(answered, cases, base)
         for slot, count in (("neither", (2,)), ("none", (2, 3))):
             for end, _, _ in self._of(state.at, slot):
                 guards = [ask.guard for ask in state.asks if ask.guard is not None]
@@ -240,21 +248,16 @@ class _Reader(PhraseReader):
 
         A known object without a room is in the room of the condition before it.
         """
-        latest = state.asks[-1].condition if state.asks else -1
-        known = [k for k, one in enumerate(state.named) if one == what or _is_again(what, one, k == latest)]
+        known = [k for k, one in enumerate(state.named) if what in (one, one._replace(room=None))]
         if known:
             yield from ((k, state.named) for k in known)
-        elif len(state.named) < MAX_CONDITIONS:
+            return
+        if self.book.restates_noun:
+            yield from ((k, state.named) for k, one in enumerate(state.named) if _by_noun(what, one))
+        if len(state.named) < MAX_CONDITIONS:
             if what.known and what.room is None and state.asks:
                 what = what._replace(room=state.named[state.asks[-1].condition].room)
             yield len(state.named), (*state.named, what)
-
-
-def _is_again(what: Phrase, before: Phrase, latest: bool) -> bool:
-    """Return whether `what` repeats `before` without naming the room. This is so only if `what` names a relation, or
-    `before` is the latest question (`latest`).
-    """
-    return what.room is None and (latest or what.qualifier is not None) and what == before._replace(room=None)
 
 
 _ANSWERS: Final = (
@@ -268,17 +271,48 @@ _ANSWERS: Final = (
 """Slot of an answer, its truth value, and whether it is about a definite object (None for both)."""
 
 
+def _by_noun(what: Phrase, before: Phrase) -> bool:
+    """Return whether `what` repeats `before` by its noun alone, without the relation."""
+    same = what.label == before.label and what.room in (None, before.room)
+    return same and what.qualifier is None and not what.known and not before.known
+
+
+def _placed(state: _State) -> list[tuple[int, Moves]]:
+    """Return the rules of a whole text with the rooms of stops that are named without: the room in which the text names
+    such a stop, or an anchor of it, elsewhere, if that is one room; and the same for the stops after it.
+    """
+    rooms: dict[str, set[Named]] = {}
+    for phrase in [*state.named, *(stop for _, moves in state.rules for stop in moves)]:
+        own = () if phrase in state.named and not phrase.known else (phrase.label,)
+        for label in (*own, *(phrase.qualifier[1] if phrase.qualifier is not None else ())):
+            if phrase.room is not None:
+                rooms.setdefault(label, set()).add(phrase.room)
+    placed = []
+    for cases, moves in state.rules:
+        found: list[Phrase] = []
+        for stop in moves:
+            if stop.room is None and not (stop.qualifier is not None and stop.qualifier[0] in BEARINGS):
+                labels = (stop.label, *(stop.qualifier[1] if stop.qualifier is not None else ()))
+                one = set().union(*(rooms.get(label, set()) for label in labels))
+                room = found[-1].room if found else next(iter(one)) if len(one) == 1 else None
+                stop = stop._replace(room=room)
+            if stop.room is not None:
+                rooms.setdefault(stop.label, set()).add(stop.room)
+            found.append(stop)
+        placed.append((cases, tuple(found)))
+    return placed
+
+
 def _table(state: _State) -> tuple[Moves, ...] | None:
     """Return the moves for each case, i.e. for each combination of the conditions' truths; None if some case gets no
     moves, or gets moves twice.
     """
     covered = 0
+    rules = _placed(state)
     for cases, _ in state.rules:
         if not cases or covered & cases:
             return None
         covered |= cases
     if covered != _ALWAYS:
         return None
-    return tuple(
-        next(moves for cases, moves in state.rules if cases >> case & 1) for case in range(1 << len(state.named))
-    )
+    return tuple(next(moves for cases, moves in rules if cases >> case & 1) for case in range(1 << len(state.named)))

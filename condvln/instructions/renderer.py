@@ -1,0 +1,498 @@
+"""The words of one text: its phrases, from left to right, by the voice and the templates of its language."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+
+from condvln.instructions.language import Language, Noun, Slot, Template, Voice
+from condvln.seeding import Draws
+from schemas.program import BEARINGS, SUPERLATIVES, Condition, Leaf, ObjectRef, Predicate, Program, Qualifier, RoomRef
+
+__all__ = ["Renderer", "sentences"]
+
+LONGEST_SENTENCE: Final = 25
+"""Number of words above which a sentence is split at its colon or semicolon."""
+CHECK_SHARE: Final = 0.4
+"""Share of requests to look for something that name the room first ("check the kitchen for a lamp")."""
+LOOK_SHARE: Final = 0.4
+"""Share of the other requests about an indefinite object that say "look for", not "see if there is"."""
+COMPOUND_SHARE: Final = 0.6
+"""Share of texts that say "the kitchen sink", not "the sink in the kitchen"."""
+_NOT_PLACES: Final = ("far from", "higher than", "lower than")
+"""Predicates that name no place: to "if the lamp is higher than the bed", nobody says "if it is there"."""
+_PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
+"""Slot of the preposition before a room: of what is there, of what belongs there, behind the anchor of a stop."""
+
+
+class Renderer:
+    """Renders one text from left to right; each chosen phrase is kept for the rest of the text.
+
+    short : of phrases with the same meaning, use one with the fewest words
+    """
+
+    def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
+        self.words, self.voice, self.draws, self.short = words, voice, draws, short
+        self.scope: RoomRef | None = None
+        self.last_room: RoomRef | None = None
+        self._chosen: dict[str, str] = {}
+        self._turns: Counter[str] = Counter()
+        self._relations: dict[Predicate, str] = {}
+        self._asked: set[int] = set()
+        self._room_asked: str | None = None
+        self._is_beside = False
+        self._same_room_asked = False
+        self._answered = "", 0
+        self._requests = 0
+        self._is_room_first = False
+        self._shared: set[str] = set()
+        self._asked_by_exists = False
+        self._types: Counter[str] = Counter()
+        self._introduced: set[RoomRef] = set()
+        self._bearing: int | None = None
+        self._whether: frozenset[int] = frozenset()
+        self._room_of: dict[str, RoomRef] = {}
+        self._found: set[str] = set()
+        self._noun_only: frozenset[str] = frozenset()
+        self._once: frozenset[str] = frozenset()
+        self._compounds = False
+        self._there = False
+
+    def program(self, program: Program) -> str:
+        rooms = _rooms(program)
+        self._types = Counter(room.label for room in rooms)
+        if len(rooms) > 1:
+            self._shared = _shared(program)
+        asked = Counter(condition.label for condition in program.conditions)
+        self._once = frozenset(label for label, count in asked.items() if count == 1)
+        if self.words.restates_noun:
+            elsewhere = {label for leaf in program.leaves for move in leaf.moves for label in _labels(move)}
+            elsewhere |= {label for condition in program.conditions for label in _labels(condition)[1:]}
+            self._noun_only = self._once - elsewhere
+        self._compounds = bool(self.words.compounds[0]) and self._chance(COMPOUND_SHARE)
+        opening = self._scope(rooms)
+        templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
+        template = self.draws.choice(_sayable(templates, program, bool(opening)) if not self.short else templates)
+        self._whether = template.whether
+        texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
+        body = "".join(texts)
+        if self._is_room_first:
+            body = body.replace(" , ", ", ")
+        return sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
+
+    def _phrase(self, slot: str) -> str:
+        """Return the phrase that this text uses for a slot."""
+        found = self._chosen.get(slot)
+        if found is None:
+            found = self._chosen[slot] = self._choice(self.voice.slots[slot])
+        return found
+
+    def _choice(self, phrases: tuple[str, ...]) -> str:
+        phrases = _shortest(phrases) if self.short else phrases
+        return self.draws.choice(phrases) if len(phrases) > 1 else phrases[0]
+
+    def _chance(self, share: float) -> bool:
+        return self.draws.uniform() < share
+
+    def _scope(self, rooms: set[RoomRef]) -> str:
+        """Return the words that place the whole text in one room, which then need not be named again; empty if there
+        are several rooms or the room has no name.
+        """
+        room = next(iter(rooms))
+        if len(rooms) > 1 or room.label not in self.words.rooms:
+            return ""
+        text = f"{self._phrase('scope')} {self._room(room)}, "
+        self.scope = room
+        return text
+
+    def _elided(self, room: RoomRef) -> bool:
+        """Return whether nouns are said without their room. This is so if `room` has no name, or if the whole text is
+        about one room.
+        """
+        return self.scope is not None or room.label not in self.words.rooms
+
+    def _slot(self, slot: Slot, program: Program) -> str:
+        if slot.form == "leaf":
+            leaf, room = program.leaves[slot.index], self.last_room
+            said = self.moves(leaf)
+            self._answered = "", 0
+            if any(move.is_bearing or move.room != room for move in leaf.moves):
+                # "there" would not be understood as a room of another branch, though that one was named last; nor is
+                # the next question about the room of the question before these stops.
+                self.last_room = self._room_asked = None
+            return said
+        condition = program.conditions[slot.index]
+        form = slot.form
+        if form in ("yes", "no"):
+            answer = self.words.answered(self._answer(form, condition), self._noun(condition))
+            if (answer, self._requests - 1) != self._answered:
+                self._answered = answer, self._requests
+                return answer
+            # "If it is, see if … If it is, …": the second could be confused with the first.
+            form = "again" if form == "yes" else "not_again"
+        asserted = form in ("asserted", "again")
+        again = slot.index in self._asked
+        self._asked.add(slot.index)
+        self._same_room_asked = not again and self._room_asked == condition.room.room_id
+        self._is_beside = not again and self._is_in_room_asked(condition)
+        self._room_asked = condition.room.room_id
+        if again and not self._is_shared(condition):
+            # "But if there's no bowl, …" is enough where one bowl was asked about.
+            full = condition.qualifier is not None or condition.label in self._once
+            full = full and not (self._elided(condition.room) and condition.label not in self._noun_only)
+            if full or form in ("again", "not_again"):
+                self._room_asked = None
+                return self._again(condition, "_again" if slot.form == "again" else "" if asserted else "_not")
+        if form == "question":
+            return self._question(condition)
+        if form == "see":
+            return self._see(condition, whether=slot.index in self._whether)
+        return self._clause(condition, asserted=asserted)
+
+    def _is_in_room_asked(self, condition: Condition) -> bool:
+        """Return whether a condition is about a definite object ("the lamp") in the room of the last question. This
+        room then need not be named again.
+        """
+        beside = condition.definite and self._room_asked == condition.room.room_id
+        return beside and not self._is_shared(condition)
+
+    def _is_shared(self, named: Condition | ObjectRef) -> bool:
+        """Return whether the text also names objects with one of the labels of `named` in another room, so that the
+        room must be named.
+        """
+        return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
+
+    def _answer(self, form: str, condition: Condition) -> str:
+        """Return the short answer that stands for a condition, such as "there is" or "it isn't". An answer that repeats
+        "there is" is used only after a question with these words.
+        """
+        slot = f"{form}_{'it' if condition.definite else 'one'}"
+        phrases = self.voice.slots[slot]
+        if len(phrases) == 1:
+            return phrases[0]
+        if not self._asked_by_exists and not condition.definite:
+            phrases = tuple(phrase for phrase in phrases if phrase not in self.words.elliptic)
+        if condition.qualifier is not None and condition.qualifier.predicate in _NOT_PLACES:
+            phrases = tuple(phrase for phrase in phrases if phrase not in self.words.placed)
+        phrases = _shortest(phrases) if self.short else phrases
+        before = self._answered[0]
+        if before and len(phrases) > 1:
+            phrases = tuple(
+                phrase for phrase in phrases if self.words.answered(phrase, self._noun(condition)) != before
+            )
+        return self._in_turn(slot, phrases)
+
+    def _in_turn(self, slot: str, phrases: tuple[str, ...]) -> str:
+        """Return the next of the phrases of a slot. The first one is drawn; then they take turns."""
+        if slot not in self._turns:
+            self._turns[slot] = self.draws.index(len(phrases)) if len(phrases) > 1 else 0
+        self._turns[slot] += 1
+        return phrases[(self._turns[slot] - 1) % len(phrases)]
+
+    # -- conditions ----------------------------------------------------------------------------------------------------
+
+    def _clause(self, condition: Condition, *, asserted: bool) -> str:
+        if condition.definite:
+            verb = self._phrase("is" if asserted else "is_not")
+            if self._is_set_apart(condition.room) and not self._is_beside:
+                # "The lamp in the bedroom that has the desk is near …" sounds as if the desk were.
+                self._is_room_first = True
+                place = f", {self._phrase('in')} {self._room(condition.room)}, "
+                said = f"{place}{self.words.definite(self._noun(condition))} {verb}{self._relation(condition)}"
+                self._know(condition)
+                return said
+            said = f"{self._subject(condition)} {verb}{self._relation(condition)}"
+            self._know(condition)
+            return said
+        self._asked_by_exists = True
+        self._know(condition)
+        there = self._filled("exists" if asserted else "absent", condition)
+        if self.words.room_first and not self._elided(condition.room):
+            place = self._place(condition) or f" {self._phrase('in')} {self._room(condition.room)}"
+            return f"{place[1:]} {there}{self._relation(condition)}"
+        return f"{there}{self._relation(condition)}{self._asked_where(condition)}"
+
+    def _asked_where(self, condition: Condition) -> str:
+        """Return the room of what may be there: "in the bedroom", or "there" where the last question was about it."""
+        return self._place(condition) or self._where(condition.room, named=True)
+
+    def _place(self, condition: Condition) -> str:
+        """Return "there" if a question about an unqualified object follows one about the same room; empty if not."""
+        same = self._same_room_asked and condition.room == self.last_room and condition.qualifier is None
+        return f" {self._phrase('place')}" if same and not self._elided(condition.room) else ""
+
+    def _again(self, condition: Condition, kind: str) -> str:
+        """Return the words that repeat an earlier condition, without its room. The next stop then does not use "there",
+        since other rooms were named in between.
+
+        kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
+        """
+        self.last_room, self._asked_by_exists = None, True
+        if condition.definite:
+            return (
+                f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
+            )
+        relation = "" if kind == "_not" and condition.label in self._noun_only else self._relation(condition)
+        return f"{self._filled('absent' if kind == '_not' else f'exists{kind}', condition)}{relation}"
+
+    def _question(self, condition: Condition) -> str:
+        self._know(condition)
+        if condition.definite:
+            return f"{self._phrase('asks_is')} {self._subject(condition)}{self._relation(condition)}?"
+        self._asked_by_exists = True
+        where = self._where(condition.room, named=True)
+        return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
+
+    def _see(self, condition: Condition, *, whether: bool) -> str:
+        self._requests += 1
+        if condition.definite or whether:
+            return f"{self._request()} {self._clause(condition, asserted=True)}"
+        plain = condition.qualifier is None and condition.room.anchor_label is None and not self._place(condition)
+        plain = plain and not self.words.room_first and not self._elided(condition.room)
+        if plain and self._chance(CHECK_SHARE):
+            self._asked_by_exists = False
+            return f"{self._phrase('check')} {self._room(condition.room)} {self._filled('for', condition)}"
+        if self._chance(LOOK_SHARE):
+            self._asked_by_exists = False
+            self._know(condition)
+            relation = self._relation(condition)
+            return f"{self._filled('look', condition)}{relation}{self._asked_where(condition)}"
+        return f"{self._request()} {self._clause(condition, asserted=True)}"
+
+    def _request(self) -> str:
+        """Return the phrase of the next request, such as "see if" or "check whether"."""
+        return self._in_turn("see", _shortest(self.voice.slots["see"]) if self.short else self.voice.slots["see"])
+
+    def _know(self, named: Condition | ObjectRef) -> None:
+        """Note the room of the things that a phrase names as known, so that they can be named without it later."""
+        if self._elided(named.room) or self._is_shared(named):
+            return
+        if isinstance(named, ObjectRef) or named.definite:
+            self._room_of[named.label] = named.room
+            self._found.add(named.label)
+        for label in named.qualifier.anchor_labels if named.qualifier is not None else ():
+            self._room_of[label] = named.room
+
+    def _noun(self, named: Condition | ObjectRef) -> Noun:
+        return self.words.noun(named.label, named.room.label)
+
+    def _filled(self, slot: str, condition: Condition) -> str:
+        return self.words.filled(self._phrase(slot), self._noun(condition))
+
+    def _compound(self, named: Condition | ObjectRef) -> str | None:
+        """Return "the kitchen sink", if the text says such compounds and this one is a usual one."""
+        labels, rooms = self.words.compounds
+        if not self._compounds or named.label not in labels or named.room.label not in rooms:
+            return None
+        room, noun = self.words.rooms[named.room.label], self._noun(named)
+        if named.room.anchor_label is not None or f"{room.text} {noun.text}" in self.words.noun_texts:
+            return None
+        self.last_room = named.room
+        return self.words.compound(noun, room)
+
+    def _subject(self, condition: Condition) -> str:
+        compound = None if self._is_beside or self._elided(condition.room) else self._compound(condition)
+        if compound is not None:
+            return compound
+        where = "" if self._is_beside else self._where(condition.room, "_of", named=True)
+        return f"{self.words.definite(self._noun(condition))}{where}"
+
+    def _relation(self, named: Condition | ObjectRef) -> str:
+        qualifier: Qualifier | None = named.qualifier
+        if qualifier is None:
+            return ""
+        if qualifier.predicate in SUPERLATIVES:
+            return ""
+        if qualifier.predicate in BEARINGS:
+            return f" {self._at_start(qualifier.predicate, isinstance(named, ObjectRef))}"
+        relation = self._relations.get(qualifier.predicate)
+        if relation is None:
+            phrases = self.words.predicates[qualifier.predicate]
+            relation = phrases[0] if len(phrases) == 1 else self._choice(phrases)
+            self._relations[qualifier.predicate] = relation
+        anchors = [self.words.definite(self.words.noun(label, named.room.label)) for label in qualifier.anchor_labels]
+        relation = self.words.agreeing(relation, self._noun(named))
+        return f" {relation} {f' {self.words.both} '.join(anchors)}"
+
+    def _lying(self, noun: Noun) -> str:
+        """Return the words between the noun of a stop and the relation after it, such as "que está". A text uses them
+        once, and then only after nouns whose article is contracted: "al sillón al sur" says the same word twice.
+        """
+        article = self.words.articles["definite"][noun.kind]
+        contracted = any(apart.split()[-1] == article for apart in self.words.contractions)
+        if "lying" in self._turns and not contracted:
+            return ""
+        return f" {self._in_turn('lying', self.words.lying)}"
+
+    def _at_start(self, bearing: Predicate, of_stop: bool) -> str:
+        """Return the phrase of an egocentric direction, such as "on your left as you start". A text uses the same form
+        throughout.
+        """
+        phrases = (self.words.bearing_stops if of_stop else self.words.bearings)[bearing]
+        if self._bearing is None:
+            self._bearing = self.draws.index(len(phrases))
+        return phrases[self._bearing]
+
+    # -- places --------------------------------------------------------------------------------------------------------
+
+    def moves(self, leaf: Leaf) -> str:
+        """Return the stops of one leaf as one imperative."""
+        stops, asked = leaf.moves, self._room_asked
+        self._there = False
+        texts = [f"{self._phrase('go')} {self._stop(stops[0])}"]
+        for k, (before, stop) in enumerate(pairwise(stops), start=1):
+            joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
+            # After a stop with an egocentric direction, or one that is known from before, no room was named.
+            same_room = stop.room == before.room == self.last_room and not self._is_shared(stop)
+            if same_room and not self.voice.slots["there"] and self._is_elsewhere(stop.room, asked):
+                same_room = False  # "luego al espejo" could be in the room of the question
+            texts.append(f"{self._phrase(joint)} {self._stop(stop, behind=True, same_room=same_room)}")
+        return "".join(texts)
+
+    def _is_elsewhere(self, room: RoomRef, asked: str | None) -> bool:
+        """Return whether the last question was about another room than the stops, in a language without "there"."""
+        return asked not in (None, room.room_id) and room.anchor_label is None
+
+    def _stop(self, ref: ObjectRef, *, behind: bool = False, same_room: bool = False) -> str:
+        """Return the words for a stop; its room is left out if the stop before it is in the same room.
+
+        behind : whether it comes after another stop
+        """
+        named = self._noun(ref)
+        noun, kind = self.words.definite(named), "_of"
+        if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
+            noun = self.words.compared(ref.qualifier.predicate, named)
+        elif ref.qualifier is not None:
+            # After a relation no "there"; "of the bedroom" goes with the anchor, which is in the same room.
+            kind = "_anchor"
+        relation = self._relation(ref)
+        if ref.is_bearing:
+            # It is in the room of the start, which is not named; "there" would refer to that room next.
+            self.last_room = None
+            return f"{noun}{relation}"
+        if relation and self.words.lying and ref.qualifier and ref.qualifier.predicate not in self.words.unlinked:
+            relation = f"{self._lying(named)}{relation}"
+        elided, known = self._elided(ref.room), not behind and self._is_known(ref)
+        self._know(ref)
+        if same_room:
+            there = " " + self._phrase("there") if self.voice.slots["there"] and not elided and kind == "_of" else ""
+            # "the sink there and then to the toilet there" says it twice
+            there, self._there = "" if self._there else there, bool(there)
+            return f"{noun}{relation}{there}"
+        if known:
+            self.last_room = None
+            return f"{noun}{relation}"
+        if ref.qualifier is None and not elided and ref.room != self.last_room:
+            noun_and_room = self._compound(ref)
+            if noun_and_room is not None:
+                return noun_and_room
+        return f"{noun}{relation}{self._where(ref.room, kind)}"
+
+    def _is_known(self, ref: ObjectRef) -> bool:
+        """Return whether the text has named a stop, or all its anchors, with the room, so that a listener knows it."""
+        if self._is_shared(ref) or (not _labels(ref)[1:] and ref.label not in self._found):
+            return False
+        return all(self._room_of.get(label) == ref.room for label in _labels(ref)[1:] or _labels(ref))
+
+    def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
+        """Return the room as a place ("in the bedroom"); with `kind` "_of" as the owner ("del dormitorio").
+
+        A condition is said with its room: after "the plant near the table", "a chair there" could mean near the table.
+        """
+        if self._elided(room):
+            return ""
+        if kind in ("_of", "_anchor") and not named and self.voice.slots["there"] and room == self.last_room:
+            self._there = True
+            return f" {self._phrase('there')}"
+        return f" {self._phrase(_PREPOSITIONS[kind])} {self._room(room)}"
+
+    def _is_set_apart(self, room: RoomRef) -> bool:
+        """Whether a room has to be named by an object in it, as in "the bedroom with the desk"."""
+        return room.anchor_label is not None and not self._is_introduced(room) and not self._elided(room)
+
+    def _is_introduced(self, room: RoomRef) -> bool:
+        """Whether "that bedroom" can only mean this room, which the text has named by an object in it."""
+        return room in self._introduced and self._types[room.label] == 1
+
+    def _room(self, room: RoomRef) -> str:
+        self.last_room = room
+        noun = self.words.rooms[room.label]
+        phrase = self.words.definite(noun)
+        if room.anchor_label is None or self._elided(room):
+            return phrase
+        if self._is_introduced(room):
+            return self.words.that(noun)
+        self._introduced.add(room)
+        return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"
+
+
+def _labels(named: Condition | ObjectRef) -> tuple[str, ...]:
+    """Return the labels of an object and of its anchors."""
+    return (named.label, *(named.qualifier.anchor_labels if named.qualifier is not None else ()))
+
+
+def _shared(program: Program) -> set[str]:
+    """The labels that a text names in several rooms."""
+    room_of: dict[str, str] = {}
+    shared = set()
+    named_things: list[Condition | ObjectRef] = [*program.conditions]
+    named_things += [move for leaf in program.leaves for move in leaf.moves]
+    for named in named_things:
+        for label in _labels(named):
+            if room_of.setdefault(label, named.room.room_id) != named.room.room_id:
+                shared.add(label)
+    return shared
+
+
+def _sayable(templates: tuple[Template, ...], program: Program, scoped: bool) -> tuple[Template, ...]:
+    """Return the templates without questions like "is the lamp in the bedroom with the desk near the bed?" or, for a
+    `scoped` text, "in the bedroom, is the lamp near the bed?". If no template is without them, return all templates.
+    """
+    if scoped:
+        return tuple(template for template in templates if not template.questions) or templates
+    long = {k for k, c in enumerate(program.conditions) if c.definite and c.room.anchor_label is not None}
+    if not long:
+        return templates
+    return tuple(template for template in templates if not template.questions & long) or templates
+
+
+def _rooms(program: Program) -> set[RoomRef]:
+    """Return the rooms that a text names."""
+    return {c.room for c in program.conditions} | {move.room for leaf in program.leaves for move in leaf.moves}
+
+
+def sentences(words: Language, text: str) -> str:
+    """Return `text` with words contracted where the language does so, long sentences split, and each sentence
+    capitalised.
+    """
+    text = words.contracted(text)
+    if ";" in text or ":" in text:
+        text = ". ".join(_split(sentence) for sentence in text.split(". "))
+    for mark in (". ", "? "):
+        text = mark.join(_capital(part) for part in text.split(mark))
+    return text
+
+
+@lru_cache
+def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the phrases with the fewest words."""
+    least = min(phrase.count(" ") for phrase in phrases)
+    return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
+
+
+def _split(sentence: str) -> str:
+    """Return a long sentence split at its colon, then at its semicolons. A numbered list is not split."""
+    if sentence.count(" ") >= LONGEST_SENTENCE and "(" not in sentence:
+        first, _, rest = sentence.partition(": ")
+        sentence = f"{first}. {rest}" if rest else sentence
+        if max(part.count(" ") for part in sentence.split(". ")) >= LONGEST_SENTENCE:
+            sentence = sentence.replace("; ", ". ")
+    return sentence
+
+
+def _capital(sentence: str) -> str:
+    """Return a sentence with its first letter capitalised, also after Spanish's opening mark."""
+    at = 1 if sentence.startswith("¿") else 0
+    return sentence[:at] + sentence[at : at + 1].upper() + sentence[at + 1 :]
