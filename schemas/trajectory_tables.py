@@ -32,7 +32,7 @@ _INTRINSICS: Final = pa.struct([pa.field(name, _F) for name in ("fx", "fy", "cx"
 _SCENE: Final = _required("scene_id", _S, "id of the scene within its source")
 _NAME: Final = _required("trajectory", _S, "name of the walk; its images are in `images/<trajectory>/`")
 _EPISODE: Final = _required("episode_id", pa.int64(), "id of the episode, as in the export")
-_KIND: Final = _required("kind", _S, "`gold`, `oracle` or `recovery`")
+_KIND: Final = _required("kind", _S, "`gold`, `oracle`, `recovery` or `exploration`")
 
 TRAJECTORIES: Final = pa.schema(
     [
@@ -48,6 +48,7 @@ TRAJECTORIES: Final = pa.schema(
         _required("repeats", pa.list_(_I), "how often each frame occurs in balanced layouts; 0 in a mistake"),
         _required("goals", pa.list_(VEC3), "goal points of the gold leaf, metres"),
         _required("success_distance", _F, "distance from a goal point within which STOP succeeds, metres"),
+        _required("max_steps", _I, "number of actions that the episode allows"),
         _required("start_position", VEC3, "position of the first frame, metres"),
         _required("start_rotation", QUATERNION, "rotation of the episode's start, quaternion [x, y, z, w]"),
         _required("navmesh", _S, "path of the navmesh, as the export or the source ships it"),
@@ -67,7 +68,8 @@ STEPS: Final = pa.schema(
         _required("position", VEC3, "position of the agent's feet, metres"),
         _required("rotation", QUATERNION, "rotation of the agent, quaternion [x, y, z, w]; identity faces north"),
         _required("heading", _F, "radians counter-clockwise from north, in [0, 2π)"),
-        _required("leaf", _I, "leaf that the agent walks to"),
+        _required("leaf", _I, "leaf that the agent walks to; -1 before the decision of an `exploration` walk"),
+        _optional("looks_for", _I, "index of the condition whose evidence an `exploration` walk looks for"),
         _required("distance_to_goal", _F, "geodesic distance to the nearest goal point of the gold leaf, metres"),
     ]
 )

@@ -31,7 +31,7 @@ from schemas.config.constants import EYE_SPACING, FIRST_VIEW_DEGREES, PREFIX_SAM
 from schemas.episode import Observability
 from schemas.program import Condition, Program
 
-__all__ = ["FIRST_VIEW", "ConditionEvidence", "Observation", "Observer", "common_prefix"]
+__all__ = ["FIRST_VIEW", "ConditionEvidence", "Observation", "Observer", "SightNeed", "common_prefix"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -40,9 +40,9 @@ FIRST_VIEW: Final = "O0f"
 LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
 """Levels in order: from visible at the start to visible only with a detour."""
 
-_Target = tuple[str, str]
+SightNeed = tuple[str, str]
 """What must be seen: ("object", object id) or ("floor", room id)."""
-_Needs = tuple[frozenset[_Target], ...]
+_Needs = tuple[frozenset[SightNeed], ...]
 """Alternative sets of targets that reveal a condition's truth: one whole set must be seen."""
 
 
@@ -106,13 +106,13 @@ class Observer:
         self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
         self._around = View(range=places.sight_range)
         self._front = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
-        self._targets: dict[_Target, SightTarget | None] = {}
-        self._seen: dict[tuple[_Target, bytes], Bools] = {}
+        self._targets: dict[SightNeed, SightTarget | None] = {}
+        self._seen: dict[tuple[SightNeed, bytes], Bools] = {}
 
     def observe(self, placed: Sequence[tuple[Program, Outlook]]) -> list[Observation]:
         """Return the observation of each placed program, in order."""
         asked = [
-            {k: self._needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
+            {k: self.needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
         ]
         starts = [eyes_at(outlook.start, self._places.eye_height) for _, outlook in placed]
         self._look(
@@ -148,7 +148,8 @@ class Observer:
         prefix = common_prefix(outlook.paths)
         return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._places.eye_height)
 
-    def _needs(self, condition: Condition) -> _Needs:
+    def needs(self, condition: Condition) -> _Needs:
+        """Return alternative sets of targets that reveal a condition's truth: one whole set must be seen."""
         room = condition.room.room_id
         anchor = () if condition.qualifier is None else [("object", name) for name in condition.qualifier.anchor_ids]
         if condition.truth:
@@ -168,7 +169,7 @@ class Observer:
             self._things[room_id, label] = found
         return self._things[room_id, label]
 
-    def _target(self, name: _Target) -> SightTarget | None:
+    def target(self, name: SightNeed) -> SightTarget | None:
         """Return the sight target of a piece of evidence; None for a room whose floor is unknown."""
         if name not in self._targets:
             kind, key = name
@@ -180,18 +181,18 @@ class Observer:
                 self._targets[name] = SightTarget(points) if len(points) else None
         return self._targets[name]
 
-    def _look(self, wanted: Iterable[tuple[_Target, F64]]) -> None:
+    def _look(self, wanted: Iterable[tuple[SightNeed, F64]]) -> None:
         """Compute and cache the wanted lines of sight that are not cached yet; all lines to one target are computed
         together.
         """
-        eyes: dict[_Target, dict[bytes, F64]] = {}
+        eyes: dict[SightNeed, dict[bytes, F64]] = {}
         for name, places in wanted:
             for eye in places:
                 key = eye.tobytes()
                 if (name, key) not in self._seen:
                     eyes.setdefault(name, {})[key] = eye
         for name, places_of in eyes.items():
-            target = self._target(name)
+            target = self.target(name)
             if target is None:
                 continue
             seen = self._view.seen(np.array(list(places_of.values())), target, self._around)
@@ -204,8 +205,8 @@ class Observer:
         """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 
-    def _is_seen(self, name: _Target, eyes: F64, yaw: float | None) -> bool:
-        target = self._target(name)
+    def _is_seen(self, name: SightNeed, eyes: F64, yaw: float | None) -> bool:
+        target = self.target(name)
         if target is None:
             return False
         seen = np.any([self._seen[name, eye.tobytes()] for eye in eyes], axis=0)
@@ -215,7 +216,7 @@ class Observer:
         return bool(seen.mean() >= least)
 
 
-def _all(ways: _Needs) -> list[_Target]:
+def _all(ways: _Needs) -> list[SightNeed]:
     return sorted(frozenset().union(*ways))
 
 

@@ -64,6 +64,7 @@ class WalkRows:
                 "repeats": repeats.tolist(),
                 "goals": [vector(goal) for goal in goals],
                 "success_distance": float(episode.success_distance),
+                "max_steps": episode.max_steps,
                 "start_position": vector(walked.positions[0]),
                 "start_rotation": dict(zip("xyzw", map(float, episode.start_rotation), strict=True)),
                 "navmesh": episode.navmesh,
@@ -89,6 +90,7 @@ class WalkRows:
             ),
             "heading": walked.headings,
             "leaf": walked.leaf,
+            "looks_for": pa.array(walked.looks_for, mask=walked.looks_for < 0),
             "distance_to_goal": distances,
         }
         self._steps.append(pa.table(columns, schema=STEPS))

@@ -31,6 +31,7 @@ __all__ = [
     "recovery_walks",
     "repeats_of",
     "twin_of",
+    "walked_along",
 ]
 
 F64 = NDArray[np.float64]
@@ -53,7 +54,8 @@ class Walked:
     executed : (n,) the action that was taken at each frame
     positions : (n, 3) float32 of the agent's feet, metres
     headings : (n,) radians counter-clockwise from −z
-    leaf : (n,) the leaf that the agent walks to
+    leaf : (n,) the leaf that the agent walks to, -1 before it has decided
+    looks_for : (n,) index of the condition whose evidence it looks for; -1 if it looks for none
     """
 
     name: str
@@ -64,6 +66,7 @@ class Walked:
     positions: NDArray[np.float32]
     headings: F64
     leaf: NDArray[np.int32]
+    looks_for: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.actions)
@@ -120,7 +123,7 @@ def gold_walk(episode: ManifestEpisode, pathfinder: Pathfinder, config: Trajecto
         return LeftOut("gold", 0, found)
     actions = found.walk.actions
     leaf = np.full(len(actions), episode.gold_leaf, np.int32)
-    return _walked(episode, pathfinder, config, "gold", 0, actions, actions, leaf)
+    return walked_along(episode, pathfinder, config, "gold", 0, actions, actions, leaf)
 
 
 def recovery_walks(
@@ -186,7 +189,7 @@ def _recovery(
         return LeftOut("recovery", number, "the mistake is no detour")
     towards = np.full(len(actions), episode.gold_leaf, np.int32)
     towards[step : step + len(mistake)] = leaf
-    return _walked(episode, pathfinder, config, "recovery", number, actions, executed, towards)
+    return walked_along(episode, pathfinder, config, "recovery", number, actions, executed, towards)
 
 
 def _gold_route(episode: ManifestEpisode, pathfinder: Pathfinder) -> _Route | str:
@@ -195,7 +198,7 @@ def _gold_route(episode: ManifestEpisode, pathfinder: Pathfinder) -> _Route | st
     return _Route(stops, walk) if walk.arrived else f"the follower does not reach the goal: {walk.outcome}"
 
 
-def _walked(
+def walked_along(
     episode: ManifestEpisode,
     pathfinder: Pathfinder,
     config: TrajectoryConfig,
@@ -204,6 +207,7 @@ def _walked(
     actions: Actions,
     executed: Actions,
     leaf: NDArray[np.int32],
+    looks_for: NDArray[np.int32] | None = None,
 ) -> Walked | LeftOut:
     """Return the walk of the executed actions, replayed on the navmesh; a `LeftOut` if the number of actions is outside
     the configured limits, or the last pose outside the success distance of the gold leaf's goals.
@@ -226,6 +230,7 @@ def _walked(
         walk.positions[: len(actions)],
         walk.headings[: len(actions)],
         leaf,
+        np.full(len(actions), -1, np.int32) if looks_for is None else looks_for,
     )
 
 

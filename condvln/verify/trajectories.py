@@ -13,6 +13,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -151,6 +152,8 @@ class _Walk:
             yield "the goals are not the episode's"
         if walk["success_distance"] != episode.success_distance:
             yield "the success distance is not the episode's"
+        if walk["max_steps"] != episode.max_steps:
+            yield "the number of allowed actions is not the episode's"
         if [walk["start_rotation"][axis] for axis in "xyzw"] != [*map(float, episode.start_rotation)]:
             yield "the start rotation is not the episode's"
         if (walk["navmesh"], walk["navmesh_sha256"]) != (episode.navmesh, episode.navmesh_sha256):
@@ -239,6 +242,7 @@ class _Frames:
         places = replay.positions[:count].astype(np.float64)
         distances = pathfinder.distance_table(replay.positions[:count], _goals(walk)).min(axis=1)
         leaves = {leaf.leaf for leaf in episode.leaves}
+        yield from self._decisions(episode)
         found: set[str] = set()
         for row in self._rows:
             frame = row["frame"]
@@ -257,6 +261,29 @@ class _Frames:
             if {path.name for path in here.glob("*")} != own:
                 yield f"{here.relative_to(self._folder)}: the files are not the walk's frames"
 
+    def _decisions(self, episode: ManifestEpisode) -> Iterator[str]:
+        """Yield what is wrong with the order in which the walk looks for evidence and decides. Only an exploration walk
+        looks: for the conditions of the gold route in their order, then it walks to the gold leaf.
+        """
+        frames = {row["frame"]: (row["leaf"], row["looks_for"]) for row in self._rows}
+        if len({(row["frame"], row["leaf"], row["looks_for"]) for row in self._rows}) != len(frames):
+            yield "the cameras of a frame disagree on the leaf, or on what is looked for"
+        order = [frames[frame] for frame in sorted(frames)]
+        looked = [number for _, number in order if number is not None]
+        if self._walk["kind"] != "exploration":
+            if looked:
+                yield "a walk that is not an exploration looks for evidence"
+            return
+        asked = [*dict.fromkeys(episode.program.route()[0])]
+        if order != [(-1, number) for number in looked] + [(episode.gold_leaf, None)] * (len(order) - len(looked)):
+            yield "the walk does not look first and walk to the gold leaf then"
+        elif [number for number in asked if number in looked] != [*dict.fromkeys(looked)] or any(
+            one > other for one, other in pairwise(map(asked.index, looked))
+        ):
+            yield "the conditions are not looked for in the order of the gold route"
+        if self._walk["n_frames"] > episode.max_steps:
+            yield f"the walk takes more actions than the episode allows: {episode.max_steps}"
+
     def _pose(self, row: Row, place: F64, heading: float, leaves: set[int]) -> Iterator[str]:
         frame = row["frame"]
         if row["action"] != self._walk["actions"][frame] or row["executed"] != self._walk["executed"][frame]:
@@ -266,7 +293,7 @@ class _Frames:
         turned = np.array([row["rotation"][axis] for axis in "xyzw"])
         if np.abs(turned - [0, math.sin(heading / 2), 0, math.cos(heading / 2)]).max() > _ANGLE:
             yield f"frame {frame}: the rotation is not that of the heading"
-        if row["leaf"] not in leaves:
+        if row["leaf"] not in leaves and row["looks_for"] is None:
             yield f"frame {frame}: the episode has no leaf {row['leaf']}"
         camera = self._cameras[row["camera"]]
         if any(row[key] != getattr(camera, key) for key in _CAMERA):

@@ -45,7 +45,9 @@ def trajectories(
     ] = None,
     walks: Annotated[
         list[str] | None,
-        typer.Option("--walks", metavar="KIND", help="gold, oracle or recovery; may be repeated (default: gold)"),
+        typer.Option(
+            "--walks", metavar="KIND", help="gold, oracle, recovery or exploration; may be repeated (default: gold)"
+        ),
     ] = None,
     keys: Annotated[
         list[str] | None,

@@ -12,9 +12,11 @@ from typing import Any, Final
 
 import pyarrow as pa
 
+from condvln.episodes.view import SceneView
 from condvln.manifest import manifest_lines
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sensors import Renderer, open_renderer
+from condvln.trajectories.exploration import Explorer
 from condvln.trajectories.images import ImageWriter
 from condvln.trajectories.recipe import Recipe
 from condvln.trajectories.tables import WalkRows
@@ -58,8 +60,9 @@ class WalkStage(Stage):
 
     config: TrajectoryConfig
     texts: Mapping[str, Any] | None = None
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
     name: str = "walks"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("trajectories", "steps", "left_out")
     reads_inputs: bool = True
 
@@ -70,12 +73,15 @@ class WalkStage(Stage):
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         navmeshes = _navmeshes(tuple(str(root) for root in _list(unit, "roots")))
         rows = WalkRows(str(unit.payload["scene_id"]))
+        explorer = self._explorer(unit) if "exploration" in self.config.walks else None
         for episode in _episodes(unit):
             pathfinder = navmeshes(episode)
             gold = gold_walk(episode, pathfinder, self.config)
             found = [gold] if "gold" in self.config.walks or "oracle" in self.config.walks else []
             if "recovery" in self.config.walks:
                 found += recovery_walks(episode, pathfinder, self.config)
+            if explorer is not None:
+                found.append(explorer.walk(episode, pathfinder))
             for walked in found:
                 if isinstance(walked, LeftOut):
                     rows.leave_out(episode, walked)
@@ -87,6 +93,11 @@ class WalkStage(Stage):
                 rows.add(episode, twin, pathfinder, self._twin(episode), repeats, gold.name)
         tables = rows.tables()
         return StageOutput(tables=tables, measures={"frames": float(tables["steps"].num_rows)})
+
+    def _explorer(self, unit: Unit) -> Explorer:
+        source = source_of(unit, self.limits)
+        scene = source.read(str(unit.payload["scene_id"]))
+        return Explorer(scene, SceneView(scene, source.geometry(scene)), self.config)
 
     def _twin(self, episode: ManifestEpisode) -> str:
         texts = self.texts or {}
@@ -139,7 +150,7 @@ class FrameStage(Stage):
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     keep: bool = True
     name: str = "frames"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("poses",)
     reads: tuple[str, ...] | None = ("steps",)
     reads_inputs: bool = True

@@ -10,7 +10,7 @@ from schemas.config.section import Section, Share
 
 __all__ = ["TrajectoryConfig", "WalkKind"]
 
-WalkKind = Literal["gold", "oracle", "recovery"]
+WalkKind = Literal["gold", "oracle", "recovery", "exploration"]
 
 Count = Annotated[int, Field(ge=1, le=1000)]
 
@@ -22,7 +22,8 @@ class TrajectoryConfig(Section):
         ("gold",),
         min_length=1,
         description="kinds of walks; `gold`: the shortest walk to the gold leaf; `oracle`: the same walk with the gold"
-        " branch as a plain instruction; `recovery`: the gold walk with a mistake and the way back",
+        " branch as a plain instruction; `recovery`: the gold walk with a mistake and the way back; `exploration`:"
+        " looks at the evidence of each condition, then walks to the gold leaf",
     )
     seed: int = Field(0, ge=0, description="seed of mistakes, repetitions and sampled conditions")
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = Field(90, description="quality of JPEG images")
@@ -44,6 +45,9 @@ class TrajectoryConfig(Section):
         12, description="maximum number of wrong actions of a mistake"
     )
 
+    look_angle: Annotated[float, Field(gt=0, lt=180, json_schema_extra={"unit": "°"})] = Field(
+        60.0, description="horizontal angle ahead of the agent within which an exploration walk sees evidence"
+    )
     goal_slack: Share = Field(
         0.1,
         description="a place counts as visible if the depth measured at its pixel is at least "
