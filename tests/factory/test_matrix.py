@@ -96,7 +96,8 @@ def test_killed_and_resumed(
     kill_driver(driver)
     done = {path.name for path in log.iterdir()}
     found = drive(address, f"--log={log}", *way)
-    assert found["id"] == expected[0]
+    assert [*open_store(address).list("quarantine")] == [], "a killed worker's unit is not at fault"
+    assert (found["exit"], found["id"]) == (0, expected[0])
     assert hashes(open_store(address)) == expected[1]
     twice = [name for name in done if len((log / name).read_text().splitlines()) > 1]
     assert len(twice) <= 2, "only what was under way is made again"
