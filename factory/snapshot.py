@@ -87,7 +87,7 @@ class Composition:
         shared: Mapping[str, SharedRecord],
         provenance: Mapping[str, str],
     ) -> SnapshotManifest:
-        """Return the manifest, once all parts exist."""
+        """Return the manifest. Call this when all parts are written."""
         tables = {}
         for name, spec in sorted(self.pipeline.tables.items()):
             partitions = {

@@ -294,7 +294,7 @@ class _Filling:
         return None
 
     def _count(self, one: _Try, by: int) -> None:
-        """Add the candidates `one` to the counts that the quotas limit; with `by` = −1, subtract them."""
+        """Count the candidates in `one` towards the quotas (`by` = 1), or no longer count them (`by` = −1)."""
         if one.cell is None:
             self._groups += by
             for n, count in one.moves.items():

@@ -184,8 +184,8 @@ def _ansr(split: str, radius: float, agent: _AnsrAgent, steps: int) -> dict[str,
 
 
 def _navid(split: str, radius: float, steps: int) -> dict[str, Any]:
-    """Return NaVid's task file. NaVid outputs angles, which its evaluator splits into turns of 30°, and it uses the map
-    that VLN-CE draws.
+    """Return NaVid's task file. NaVid outputs angles; its evaluator splits them into turns of 30°, and reads VLN-CE's
+    top-down map.
     """
     document = _vlnce("vlnce", "VLN-CE-v1", split, radius, steps)
     document["SIMULATOR"]["TURN_ANGLE"] = 30

@@ -1,4 +1,4 @@
-"""Objects that people can't tell apart, or would not name by their label, judging by boxes.
+"""Objects that, judged by their boxes, people can't tell apart or would not name by their label.
 
 Two boxes of a scan may be the same object, and one box may hold two; an unlabelled object may have the label of a
 labelled one of its size; a high table may be called a counter, a short one a side table; and nobody looks for a fallen

@@ -332,7 +332,7 @@ class Pathfinder:
         """
         if not (metres_per_pixel > 0 and math.isfinite(metres_per_pixel)):
             raise UsageError(
-                f"the metres per pixel must be positive, got {metres_per_pixel}",
+                f"the metres per pixel must be positive and finite, got {metres_per_pixel}",
                 remedy="Give a positive number, such as 0.05",
             )
         grid, pixel = self.query_mesh.grid, np.float32(metres_per_pixel)

@@ -160,8 +160,8 @@ def _portal(index: int, door: Door, number: Mapping[str, int]) -> Record:
 
 
 def _objects(layout: Layout, number: Mapping[str, int]) -> tuple[list[Record], list[Record]]:
-    """Return O and E records: furniture with its parts as segments, each region's structure, and one unlabelled
-    object.
+    """Return the object (O) and segment (E) records of a ``.house`` file. Objects are the furniture, a wall, the floor
+    and the ceiling of each region, and one object without a label; segments are their parts.
     """
     index_of = {raw: i for i, (raw, _) in enumerate(categories())}
     objects: list[Record] = []

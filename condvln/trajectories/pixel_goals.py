@@ -1,4 +1,6 @@
-"""Pixel goals, on which InternVLA-N1 is trained: of the places after a frame, the last that the camera sees."""
+"""Pixel goals, on which InternVLA-N1 is trained: the pixel at which a frame shows the farthest later position of the
+walk that the camera sees.
+"""
 
 from __future__ import annotations
 

@@ -133,8 +133,9 @@ class Judge:
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "near": that of the distances (`found`), but undecided if one object is on or in the
-    other, or if "near" holds and one of the two objects is put away.
+    """Return the judgement on "near". It is `found`, the judgement by the distances, with two exceptions, which are
+    undecided: one object is on or in the other, or `found` is true and one of the two objects is in a container for
+    storage.
     """
     if room.holds(anchor, subject) or room.holds(subject, anchor):
         return found._replace(verdict=UNDECIDED)
