@@ -19,8 +19,9 @@ from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sources.source import hash_file
 from condvln.world import open_world
 from jobs.explore_agents import ExploredAgents, ScoredSplit, scored_splits
+from jobs.explore_drift import former_episodes
 from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
-from jobs.explore_statistics import Counts, former_cells, statistics_document
+from jobs.explore_statistics import Counts, statistics_document
 from jobs.pipeline import open_configured
 from jobs.report import Report
 from schemas.config import Config
@@ -42,7 +43,7 @@ class Exploration:
     config : the configuration whose snapshot is shown; None to show the export alone
     predictions : a file an agent and split; its split is found by its ids
     roots : folders of datasets with navmeshes that the export does not ship
-    before : an export with which the counts are compared
+    before : a former export, or a former snapshot's id or ref, with which the episodes are compared
     views : number of episodes of each scene with pictures and places of first sight; they need the sources' files
     scored : agents that were scored already
     """
@@ -52,7 +53,7 @@ class Exploration:
     config: Config | None = None
     predictions: tuple[Path, ...] = ()
     roots: tuple[Path, ...] = ()
-    before: Path | None = None
+    before: Path | str | None = None
     views: int = 0
     scored: tuple[ScoredSplit, ...] = ()
 
@@ -83,7 +84,7 @@ def explore(asked: Exploration) -> Report:
         raise UsageError(
             "an export holds no scenes of which views could be made", place="--views", remedy="Name its configuration."
         )
-    former = None if asked.before is None else former_cells(asked.before)
+    former = None if asked.before is None else former_episodes(str(asked.before), asked.config)
     site = Site(asked.out)
     counts = Counts()
     proofs = _Certificates(export)

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
-from condvln.manifest import manifest_lines, manifest_paths
+from jobs.explore_drift import EpisodeFacts, Former, drift_document
 from jobs.explore_scenes import ExploredScene
-from schemas.errors import UsageError
 
-__all__ = ["Counts", "former_cells", "statistics_document"]
-
-Cells = dict[str, tuple[str, str]]
-"""Split and category by episode id."""
+__all__ = ["Counts", "statistics_document"]
 
 Document = dict[str, Any]
 EXAMPLES: Final = 3
@@ -34,7 +29,7 @@ class Counts:
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
     examples: dict[tuple[str, str, str], list[Document]] = field(default_factory=dict)
-    ids: Cells = field(default_factory=dict)
+    ids: dict[str, EpisodeFacts] = field(default_factory=dict)
 
     def add(self, scene: ExploredScene) -> None:
         """Add a scene."""
@@ -59,16 +54,16 @@ class Counts:
             kept = self.examples.setdefault(key, [])
             if row["example"] is not None and len(kept) < EXAMPLES:
                 kept.append({"scene": scene_id, "cell": row["cell"], "example": row["example"]})
-        self.ids.update({str(row["episode_id"]): (row["split"], row["category"]) for row in scene.rows})
+        self.ids.update({str(row["episode_id"]): EpisodeFacts.of(row, row["split"]) for row in scene.rows})
 
 
-def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Cells | None) -> Document:
+def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Former | None) -> Document:
     """Return what the page's statistics show.
 
     Parameters
     ----------
     record : the export's ``export.json``
-    former : episodes of a former export, with which these are compared
+    former : episodes of a former export or snapshot, with which these are compared
     """
     return {
         "objects": counts.objects.most_common(),
@@ -81,21 +76,5 @@ def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former
         ],
         "gate": None if record is None else record.get("bias"),
         "left_out": {} if record is None else record.get("left_out") or {},
-        "drift": None if former is None else _drift(counts.ids, former),
+        "drift": None if former is None else drift_document(counts.ids, former),
     }
-
-
-def former_cells(export: Path) -> Cells:
-    """Return the episodes of a former export. Raises UsageError if the folder holds none."""
-    paths = manifest_paths(export)
-    if not paths:
-        raise UsageError("--before names no export", place=str(export), remedy="Name the folder of a former export.")
-    rows = ((path.stem, line.fields()) for path in paths for line in manifest_lines(path))
-    return {str(fields.get("episode_id")): (split, str(fields.get("category"))) for split, fields in rows}
-
-
-def _drift(ids: Cells, former: Cells) -> Document:
-    was, now = Counter(former.values()), Counter(ids.values())
-    old, new = former.keys(), ids.keys()
-    cells = [[*cell, was[cell], now[cell]] for cell in sorted({*was, *now})]
-    return {"cells": cells, "kept": len(old & new), "gone": len(old - new), "new": len(new - old)}

@@ -133,7 +133,12 @@ def explore(
         typer.Option("--predictions", metavar="FILE", help="predictions or results of an agent; may be repeated"),
     ] = None,
     before: Annotated[
-        Path | None, typer.Option("--before", metavar="EXPORT", help="a former export to compare the counts with")
+        str | None,
+        typer.Option(
+            "--before",
+            metavar="EXPORT|SNAPSHOT",
+            help="a former export to compare with; or, with a configuration, a former snapshot's id or a ref",
+        ),
     ] = None,
     views: Annotated[
         int,

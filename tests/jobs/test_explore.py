@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,13 @@ from condvln.explorer.chunks import chunk_content
 from condvln.manifest import manifest_lines, manifest_paths
 from jobs.evaluate import walk_split
 from jobs.explore import Exploration, explore
+from jobs.explore_drift import former_episodes
+from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import published
-from schemas.config import Config
+from schemas.config import Config, InstructionsConfig
 from schemas.errors import UsageError
+from tests.jobs.conftest import configuration
 
 
 def chunks(page: Path) -> dict[str, Any]:
@@ -95,9 +100,35 @@ def test_an_export_alone_is_shown_without_furniture(asked: Exploration, export: 
     rows = [line.fields() for path in manifest_paths(export) for line in manifest_lines(path)]
     assert sorted(found["index"]["columns"]["id"]) == sorted(str(row["episode_id"]) for row in rows)
     assert found["scene-0"]["rooms"] == found["scene-0"]["objects"] == []
-    assert found["statistics"]["drift"] == {
-        "cells": found["statistics"]["drift"]["cells"], "kept": len(rows), "gone": 0, "new": 0
-    }  # fmt: skip
+    drift = found["statistics"]["drift"]
+    assert (drift["kept"], drift["gone"], drift["new"], drift["reworded"]) == (len(rows), 0, 0, 0)
+    assert (drift["by"], drift["scenes"]) == ("split", [])
+    assert sum(now for *_, now in drift["cells"]) == sum(was for *_, was, _ in drift["cells"]) == len(rows)
+
+
+def test_two_snapshots_are_compared(made_run: tuple[Config, Report], made_dataset: Path, tmp_path: Path) -> None:
+    first = configuration(tmp_path, made_dataset)
+    shutil.copytree(made_run[0].store, first.store)
+    before = published(first)
+    second = first.model_copy(update={"instructions": InstructionsConfig(per_category={"simple": 3, "nested": 2})})
+    run_generate(second, inline=True)
+    now = published(second)
+    assert now.snapshot_id != before.snapshot_id
+    old, new = ({row["episode_id"]: row for row in one.table("episodes").to_pylist()} for one in (before, now))
+    shared = old.keys() & new.keys()
+    explore(Exploration(tmp_path / "page", None, second, before=before.snapshot_id[:12]))
+    drift = chunks(tmp_path / "page")["statistics"]["drift"]
+    assert drift["before"] == before.snapshot_id
+    counted = (len(shared), len(old.keys() - shared), len(new.keys() - shared))
+    assert (drift["kept"], drift["gone"], drift["new"]) == counted
+    assert counted[2] > 0
+    assert drift["reworded"] == sum(old[one]["instruction_text"] != new[one]["instruction_text"] for one in shared)
+    for shown, keys in (("cells", ("source", "category")), ("scenes", ("source", "scene_id"))):
+        was, are = (Counter(tuple(row[key] for key in keys) for row in rows.values()) for rows in (old, new))
+        rows = [[*key, was[key], are[key]] for key in sorted({*was, *are})]
+        assert drift[shown] == [row for row in rows if shown == "cells" or row[2] != row[3]]
+    assert former_episodes(before.snapshot_id, second).episodes.keys() == {str(name) for name in old}
+    assert former_episodes(second.name, second).episodes.keys() == {str(name) for name in new}, "a ref names the latest"
 
 
 def test_faults_leave_no_page(asked: Exploration, export: Path, tmp_path: Path) -> None:
@@ -106,7 +137,8 @@ def test_faults_leave_no_page(asked: Exploration, export: Path, tmp_path: Path) 
     for wrong, said in (
         (Exploration(tmp_path / "page", tmp_path), "neither a configuration nor an export"),
         (Exploration(tmp_path / "page", export, predictions=(other,)), "no episode of the export"),
-        (Exploration(tmp_path / "page", export, before=tmp_path), "names no export"),
+        (Exploration(tmp_path / "page", export, before=tmp_path), "names no export and no snapshot"),
+        (Exploration(tmp_path / "page", export, asked.config, before="ffff"), "names no export and no snapshot"),
         (Exploration(tmp_path / "page", export, views=1), "holds no scenes"),
     ):
         with pytest.raises(UsageError, match=said):

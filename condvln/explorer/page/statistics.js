@@ -91,10 +91,17 @@
   }
 
   function drift(found) {
-    if (!found) return element("p", {}, "No former export was given; --before EXPORT compares with one.");
-    return element("div", {}, element("p", {}, `${count(found.kept)} episodes are in both, ${count(found.new)} are new, ${count(found.gone)} are gone.`),
-      explorer.table("Episodes before and now", ["split", "category", "#before", "#now", "#change"],
-        found.cells.map(([split, category, was, now]) => [split, category, count(was), link(count(now), "browse", { split, category }), (now > was ? "+" : "") + (now - was)]), "drift"));
+    if (!found) return element("p", {}, "Nothing to compare with was given; --before takes a former export or snapshot.");
+    const change = (was, now) => (now > was ? "+" : "") + (now - was);
+    const scene = (source, id, now) => (explorer.index.scenes.some((one) => one.source === source && one.id === id)
+      ? link(count(now), "browse", { scene: `${source}/${id}` }) : count(now));
+    return element("div", {},
+      element("p", { id: "drift" }, `Compared with ${found.before}: ${count(found.kept)} episodes are in both, ${count(found.reworded)} of them with another text; `
+        + `${count(found.new)} are new, ${count(found.gone)} are gone.`),
+      explorer.table("Episodes before and now", [found.by, "category", "#before", "#now", "#change"],
+        found.cells.map(([name, category, was, now]) => [name, category, count(was), link(count(now), "browse", { [found.by]: name, category }), change(was, now)]), "drift"),
+      found.scenes.length ? explorer.table("Scenes with another number of episodes", ["source", "scene", "#before", "#now", "#change"],
+        found.scenes.map(([source, id, was, now]) => [source, id, count(was), scene(source, id, now), change(was, now)]), "drift-scenes") : "");
   }
 
   explorer.views.statistics = async (main) => {
