@@ -329,7 +329,10 @@ def _grouped(
     )
     headings = tuple(Column(axis, axis, "text") for axis in axes)
     every = (*headings, _AGENT, *columns, _EPISODES)
-    return Table(name, title, every, rows, note, blocks=len(axes), intervals=_INTERVALS if note else "")
+    intervals = _INTERVALS if note else ""
+    if not any(column.key.startswith(("bsa", "csr")) for column in columns):
+        note = ""  # it is about these columns
+    return Table(name, title, every, rows, note, blocks=len(axes), intervals=intervals)
 
 
 def _cells(row: Summary, columns: Sequence[Column]) -> tuple[Cell, ...]:

@@ -95,6 +95,16 @@ def test_no_table_shows_more_conditional_success_than_success(tables: list[Table
     assert seen, "the case that misleads is among the rows"
 
 
+def test_results_without_subgoals_have_neither_their_columns_nor_the_note(evaluations: list[Evaluation]) -> None:
+    """As real results of VLN-CE: they were explained under a table that lacks them."""
+    unknown = np.full(len(evaluations[0].scores["bsa"]), np.nan)
+    missing = dict.fromkeys(("bsa", "csr", "bsa_all", "csr_all"), unknown)
+    table = main_table([replace(evaluations[0], scores={**evaluations[0].scores, **missing})])
+    assert not any("BSA" in column.heading or "CSR" in column.heading for column in table.columns)
+    assert (table.note, bool(table.intervals)) == ("", True)
+    assert main_table(evaluations).note
+
+
 def test_several_sources_get_a_row_of_all(evaluations: list[Evaluation]) -> None:
     table = axis_table(evaluations, "category")
     assert [row[0].value for row in table.rows[-2:]] == ["all", "all"]
