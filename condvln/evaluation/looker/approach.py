@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from condvln.evaluation.looker.floor_map import CELL, Ground, Ways
+from condvln.evaluation.looker.floor_map import CELL, F64, Ground, Ways
 from condvln.evaluation.looker.memory import Thing
 from schemas.config.constants import WALL_DETOUR
 
 __all__ = ["REACH", "Approach", "approach"]
 
-F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 REACH: Final = 0.5

@@ -1,0 +1,58 @@
+"""Turn a target of the looker agent into its next action."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from condvln.evaluation.looker.floor_map import CELL, F64, Ground, Ways
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, VLN_CE
+
+__all__ = ["ARRIVED", "HALF_TURN", "Steering"]
+
+ARRIVED: Final = 0.2
+"""Distance in metres at which a position counts as reached."""
+AHEAD: Final = 2.0
+"""Largest length in metres of a shortcut along its path, if the straight line is free."""
+HALF_TURN: Final = math.radians(VLN_CE.turn) / 2
+PATIENT: Final = 24
+"""Number of steps without progress after which it chooses another target."""
+
+
+class Steering:
+    """The way to one target after the other, and the progress on it."""
+
+    def __init__(self) -> None:
+        self._best, self._since = math.inf, 0
+
+    def begin(self, step: int) -> None:
+        """Begin with another target at a step's number."""
+        self._best, self._since = math.inf, step
+
+    def action(self, aim: F64, here: F64, heading: float, ground: Ground, ways: Ways, step: int) -> int | None:
+        """Return the action that leads from `here` (2,) towards a position; None if the position is unreachable, or if
+        the agent makes no progress.
+        """
+        cell = ground.cell(float(aim[0]), float(aim[1]))
+        path, length = ways.to(cell), float(ways.distance[cell])
+        if not np.isfinite(length) or len(path) < 2:
+            return None
+        if length < self._best - 1:
+            self._best, self._since = length, step
+        elif step - self._since > PATIENT:
+            return None
+        towards = path[1]
+        for point in path[2:]:
+            if np.hypot(*(point - here)) > AHEAD or not ground.open_between(here, point):
+                break
+            towards = point
+        away = towards - here
+        if np.hypot(*away) < CELL and len(path) > 2:
+            away = path[2] - here
+        wanted = math.atan2(-away[0], -away[1])
+        off = (wanted - heading + math.pi) % (2 * math.pi) - math.pi
+        if abs(off) <= HALF_TURN + 1e-9:
+            return FORWARD
+        return LEFT if off > 0 else RIGHT
