@@ -1,7 +1,7 @@
 """Sample conditions with given truths about the rooms of one scene.
 
-Kind, predicate and room of a condition are drawn independently of its truth, and a condition is used only if one with
-the opposite truth would be possible in its place.
+Room, kind, predicate and definiteness of a condition are drawn independently of its truth, and a condition is used only
+if one with the opposite truth would be possible in its place.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
-from condvln.instructions.conditions import ConditionPool, PresencePool, Question, RelationPool
+from condvln.instructions.conditions import ConditionPool, Form, PresencePool, Question, RelationPool
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
@@ -20,11 +20,13 @@ from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
-from schemas.program import BEARINGS, Condition, ObjectRef, Predicate, Program, RoomRef
+from schemas.program import BEARINGS, Condition, ObjectRef, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
 
 Statements = PresencePool | RelationPool
+Groups = tuple[tuple[tuple[Form, ...], float], ...]
+"""Forms of statements by the group of their predicate, and the group's weight."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,17 +41,17 @@ class _Asked:
 class _Room:
     referents: Referents
     pool: ConditionPool
-    groups: tuple[tuple[tuple[Predicate, ...], float], ...]
+    groups: Groups
     bearings: bool = False
 
-    def here(self, start: bool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
-        """Return the groups of predicates that conditions may use, with weights; egocentric predicates only if `start`,
+    def here(self, start: bool) -> Groups:
+        """Return the groups of forms that conditions may use, with weights; egocentric predicates only if `start`,
         which says that this is the room of the start.
         """
         if start or not self.bearings:
             return self.groups
-        rest = [(predicates, weight) for predicates, weight in self.groups if predicates[0] not in BEARINGS]
-        return tuple(rest if any(weight for _, weight in rest) else [(predicates, 1.0) for predicates, _ in rest])
+        rest = [(forms, weight) for forms, weight in self.groups if forms[0][0] not in BEARINGS]
+        return tuple(rest if any(weight for _, weight in rest) else [(forms, 1.0) for forms, _ in rest])
 
 
 class ConditionSampler:
@@ -85,17 +87,17 @@ class ConditionSampler:
         self._asked: dict[tuple[RoomRef, int], dict[tuple[bool, int], _Asked]] = {}
 
     def _room(self, referents: Referents, pool: ConditionPool) -> _Room:
-        return _Room(referents, pool, self._groups(pool), any(bearing in pool.relations for bearing in BEARINGS))
+        return _Room(referents, pool, self._groups(pool), any(form[0] in BEARINGS for form in pool.relations))
 
-    def _groups(self, pool: ConditionPool) -> tuple[tuple[tuple[Predicate, ...], float], ...]:
+    def _groups(self, pool: ConditionPool) -> Groups:
         weights = self._sampling.predicates
         groups = [
-            (tuple(p for p in predicates if p in pool.relations), getattr(weights, group))
+            (tuple(form for form in product(predicates, (True, False)) if form in pool.relations), group)
             for group, predicates in PREDICATE_GROUPS.items()
         ]
-        there = [(predicates, weight) for predicates, weight in groups if predicates]
+        there = [(forms, getattr(weights, group)) for forms, group in groups if forms]
         # A group of weight 0 is used only if no other group is possible.
-        return tuple(there if any(weight for _, weight in there) else [(predicates, 1.0) for predicates, _ in there])
+        return tuple(there if any(weight for _, weight in there) else [(forms, 1.0) for forms, _ in there])
 
     def conditions(
         self,
@@ -142,7 +144,7 @@ class ConditionSampler:
         """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is
         none.
 
-        The replacement is about the same room, and has the same kind, predicate and, if possible, label.
+        The replacement is about the same room, and has the same kind, predicate, definiteness and, if possible, label.
         """
         old = program.conditions[index]
         if old.room.room_id not in self._rooms:
@@ -151,7 +153,8 @@ class ConditionSampler:
         claims = [Claim.of(condition) for k, condition in enumerate(program.conditions) if k != index]
         given = Presupposed.by(move for leaf in program.leaves for move in leaf.moves)
         truth = not old.truth
-        statements = part.pool.presence if old.qualifier is None else part.pool.relations.get(old.qualifier.predicate)
+        form = None if old.qualifier is None else (old.qualifier.predicate, old.definite)
+        statements = part.pool.presence if form is None else part.pool.relations.get(form)
         if statements is None:
             return None
         # The same weights as for drawn conditions, so that a twin's words predict its truth no better than theirs.
@@ -172,8 +175,8 @@ class ConditionSampler:
     def _pair(
         self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
     ) -> dict[bool, Condition] | None:
-        """Return two usable conditions of one kind and predicate, by truth: a true one and a false one. Return None if
-        there is no such pair.
+        """Return two usable conditions of one form, by truth: a true one and a false one. Return None if there is no
+        such pair.
         """
         # Pools live as long as this sampler, so their ids are valid cache keys.
         asked = self._asked.setdefault((room, id(statements)), {})
@@ -197,8 +200,9 @@ class ConditionSampler:
         return found
 
     def _statements(self, room: str, draws: Draws, start: bool) -> Statements | None:
-        """Draw a kind of condition and a predicate for a room, and return their statements; None if there are none.
-        `start` says whether the room is the start room; only then are egocentric statements possible.
+        """Draw a kind of condition and a form for a room, and return their statements; None if there are none.
+
+        start : the room is the start room; only then are egocentric statements possible
         """
         part = self._rooms[room]
         groups = part.here(start)
@@ -210,22 +214,21 @@ class ConditionSampler:
                 return presence
         if not groups:
             return None
-        predicates = draws.weighted(groups, [weight for _, weight in groups])[0]
-        return part.pool.relations[draws.weighted(predicates, [part.pool.relations[p].mass for p in predicates])]
+        forms = draws.weighted(groups, [weight for _, weight in groups])[0]
+        return part.pool.relations[draws.weighted(forms, [part.pool.relations[form].mass for form in forms])]
 
     def _condition(self, room: RoomRef, question: Question) -> Condition:
         key = (room, question)
         if key not in self._made:
-            qualifier, definite = None, False
+            qualifier = None
             if question.predicate is not None:
-                referents = self._rooms[room.room_id].referents
-                definite = question.label in referents.unique_labels
-                qualifier = qualifier_of(referents.arrays, question.predicate, question.anchors)
+                arrays = self._rooms[room.room_id].referents.arrays
+                qualifier = qualifier_of(arrays, question.predicate, question.anchors)
             self._made[key] = Condition(
                 label=question.label,
                 room=room,
                 qualifier=qualifier,
-                definite=definite,
+                definite=question.definite,
                 truth=question.truth,
                 witnesses=question.witnesses,
             )

@@ -5,6 +5,10 @@ label near another anchor, or about another label that is in the room but not ne
 absence, and so does a false relation of an indefinite object ("a lamp near the bed"). A definite relation ("the lamp is
 near the bed") claims no absence: the lamp is visible, only elsewhere. So conditions about incompletely annotated rooms
 are always definite, with either truth; otherwise their form would reveal the truth.
+
+Where a label names several objects, one of them is in a relation more often than a single object is. So definite and
+indefinite statements are kept apart: a true statement and the false one that might be used in its place have the same
+form.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +29,7 @@ from condvln.labels import Vocabulary
 from schemas.config.constants import EVIDENCE
 from schemas.program import BEARINGS, Predicate
 
-__all__ = ["ConditionPool", "Question", "RelationPool", "balanced_weights", "informative_weights"]
+__all__ = ["ConditionPool", "Form", "Question", "RelationPool", "balanced_weights", "informative_weights"]
 
 BALANCING_ROUNDS: Final = 30
 """Iterations of proportional fitting; the marginals of real rooms converge to 1e-3 within about ten."""
@@ -39,6 +43,9 @@ PSEUDOCOUNT: Final = 0.5
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+Form: TypeAlias = tuple[Predicate, bool]
+"""The form of a relational statement: its predicate, and whether it is about one definite object."""
+
 
 @dataclass(frozen=True, slots=True)
 class Question:
@@ -49,17 +56,19 @@ class Question:
     witnesses: tuple[str, ...]
     predicate: Predicate | None = None
     anchors: tuple[int, ...] = ()
+    definite: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class RelationPool:
-    """The statements with one predicate about one room.
+    """The statements of one form about one room: with one predicate, and all definite or all indefinite.
 
     cells[truth] : (row, column) of the statements' tables; sums[truth] : their cumulative weights
     mass : geometric mean of the total weights of true and of false statements
     """
 
     truths: StatementTruths
+    definite: bool
     object_ids: tuple[str, ...]
     cells: Mapping[bool, tuple[tuple[int, int], ...]]
     sums: Mapping[bool, tuple[float, ...]]
@@ -75,6 +84,7 @@ class RelationPool:
             witnesses=tuple(self.object_ids[i] for i in witnesses),
             predicate=self.truths.predicate,
             anchors=tuple(self.truths.anchors[column].tolist()),
+            definite=self.definite,
         )
 
 
@@ -92,12 +102,12 @@ class PresencePool:
 
 @dataclass(frozen=True, eq=False)
 class ConditionPool:
-    """All statements about one room, by kind and predicate. A kind or predicate is included only if it has both true
-    and false statements.
+    """All statements about one room: those of presence, and relational ones by form. A kind or form is included only if
+    it has both true and false statements.
     """
 
     presence: PresencePool | None
-    relations: Mapping[Predicate, RelationPool]
+    relations: Mapping[Form, RelationPool]
 
     @classmethod
     def of(
@@ -140,7 +150,7 @@ def _presence(
     ]
     questions, sums, evidence = {}, {}, bits.evidence(room_type)
     for truth, found in ((True, true), (False, false)):
-        seen = [bits.counts.get((room_type, q.label, "", ""), (0, 0)) for q in found]
+        seen = [bits.counts.get((room_type, q.label, "", "", False), (0, 0)) for q in found]
         weighed = [(q, informative_weights(*counts, evidence)) for q, counts in zip(found, seen, strict=True)]
         questions[truth] = tuple(q for q, weights in weighed if weights[truth] > 0.0)
         sums[truth] = tuple(accumulate(weights[truth] for _, weights in weighed if weights[truth] > 0.0))
@@ -149,28 +159,39 @@ def _presence(
 
 def _relations(
     referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str]
-) -> dict[Predicate, RelationPool]:
-    pools: dict[Predicate, RelationPool] = {}
+) -> dict[Form, RelationPool]:
+    pools: dict[Form, RelationPool] = {}
     for truths in statement_truths(referents, vocabulary):
         if truths.predicate not in asked:
             continue
         weights = _informative_tables(referents, truths, bits)
         if weights is None:
             weights = balanced_weights(truths.true, truths.false)
-        if weights is None or not all(table.any() for table in weights.values()):
+        if weights is None:
             continue
-        cells = {truth: np.argwhere(table > 0.0) for truth, table in weights.items()}
-        pools[truths.predicate] = RelationPool(
-            truths=truths,
-            object_ids=referents.arrays.object_ids,
-            cells={truth: tuple((int(r), int(c)) for r, c in found) for truth, found in cells.items()},
-            sums={truth: tuple(np.cumsum(table[table > 0.0]).tolist()) for truth, table in weights.items()},
-            mass=float(min(weights[True].sum(), weights[False].sum())),
-        )
+        for definite in (True, False):
+            of_form = (truths.definite == definite)[:, None]
+            own = {truth: np.where(of_form, table, 0.0) for truth, table in weights.items()}
+            if all(table.any() for table in own.values()):
+                pools[truths.predicate, definite] = _relation_pool(referents, truths, own, definite=definite)
     return pools
 
 
-def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, RelationPool]:
+def _relation_pool(
+    referents: Referents, truths: StatementTruths, weights: Mapping[bool, F64], *, definite: bool
+) -> RelationPool:
+    cells = {truth: np.argwhere(table > 0.0) for truth, table in weights.items()}
+    return RelationPool(
+        truths=truths,
+        definite=definite,
+        object_ids=referents.arrays.object_ids,
+        cells={truth: tuple((int(r), int(c)) for r, c in found) for truth, found in cells.items()},
+        sums={truth: tuple(np.cumsum(table[table > 0.0]).tolist()) for truth, table in weights.items()},
+        mass=float(min(weights[True].sum(), weights[False].sum())),
+    )
+
+
+def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, RelationPool]:
     """Return the egocentric statements about a room by predicate. They use only objects that are not small and whose
     label is unique.
 
@@ -185,16 +206,18 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Predicate, Re
     cells = tuple((row, 0) for row in range(len(labels)))
     sums = tuple(float(k + 1) for k in range(len(labels)))
     return {
-        bearing: RelationPool(
+        (bearing, True): RelationPool(
             truths=StatementTruths(
                 predicate=bearing,
                 labels=labels,
                 anchors=np.empty((1, 0), dtype=np.intp),
+                definite=np.ones(len(labels), dtype=bool),
                 exact=exact,
                 held=np.ones((len(own), 1), dtype=bool),
                 true=any_of_them,
                 false=any_of_them,
             ),
+            definite=True,
             object_ids=referents.arrays.object_ids,
             cells={True: cells, False: cells},
             sums={True: sums, False: sums},
@@ -228,7 +251,8 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
     known, evidence = False, bits.evidence(room_type)
     for truth, support in ((True, truths.true), (False, truths.false)):
         for row, column in np.argwhere(support):
-            key = (room_type, truths.labels[row], truths.predicate, truths.anchor_key(column, own))
+            form = (truths.predicate, truths.anchor_key(column, own), bool(truths.definite[row]))
+            key = (room_type, truths.labels[row], *form)
             seen = bits.counts.get(key, (0, 0))
             known |= sum(seen) >= evidence
             tables[truth][row, column] = informative_weights(*seen, evidence)[truth]

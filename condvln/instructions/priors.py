@@ -34,8 +34,10 @@ from schemas.config.constants import EVIDENCE, RATE_STEPS, STAGINGS
 
 __all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
 
-Statement = tuple[str, str, str, str]
-"""Room type, label, predicate, anchor label; the last two are empty for presence."""
+Statement = tuple[str, str, str, str, bool]
+"""Room type, label, predicate, anchor label, whether the statement is definite. For presence, the predicate and the
+anchor label are empty, and the last value is False.
+"""
 
 PRIORS: Final = pa.schema(
     [
@@ -44,6 +46,7 @@ PRIORS: Final = pa.schema(
         pa.field("label", pa.string(), nullable=False),
         pa.field("predicate", pa.string(), nullable=False),
         pa.field("anchor", pa.string(), nullable=False),
+        pa.field("definite", pa.bool_(), nullable=False),
         pa.field("n_true", pa.int64(), nullable=False),
         pa.field("n_false", pa.int64(), nullable=False),
     ]
@@ -59,7 +62,7 @@ anything in this room.
 MERGE_ROWS: Final = 200_000
 """Number of rows collected before they are summed: limits memory without summing for every scene."""
 
-_KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor")
+_KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor", "definite")
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,11 +172,11 @@ class LabelPriors:
         pooled = _by_statement(rows)
         layout = layout_of(scene.scene_id)
         own = _by_statement(rows.filter(pc.equal(rows["layout"], layout))) if layout else {}
-        rooms = {t: pooled.pop((t, "", "", ""), (0, 0))[0] for t in types}
-        presence = {(t, x): n for (t, x, predicate, _), (n, _) in pooled.items() if not predicate}
+        rooms = {t: pooled.pop((t, "", "", "", False), (0, 0))[0] for t in types}
+        presence = {(t, x): n for (t, x, predicate, *_), (n, _) in pooled.items() if not predicate}
         plausible = {key for key, n in presence.items() if n >= plausible_share * rooms[key[0]]}
         varies = {key for key in plausible if rooms[key[0]] - presence[key] >= plausible_share * rooms[key[0]]}
-        stagings = {t: own.pop((t, "", "", ""), (0, 0))[0] for t in types}
+        stagings = {t: own.pop((t, "", "", "", False), (0, 0))[0] for t in types}
         staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
         counts = pooled
         if staged:
@@ -182,8 +185,8 @@ class LabelPriors:
         if scene.single_room:
             # In a single-room scene, absence can be claimed of labels of other scenes.
             for t, x in presence:
-                there = counts.get((t, x, "", ""), (0, 0))[0]
-                counts[t, x, "", ""] = (there, (stagings if t in staged else rooms)[t] - there)
+                there = counts.get((t, x, "", "", False), (0, 0))[0]
+                counts[t, x, "", "", False] = (there, (stagings if t in staged else rooms)[t] - there)
         return PriorBits(
             plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
@@ -195,8 +198,8 @@ class LabelPriors:
 def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
     """Return the counts of each statement, summed over layouts."""
     found: dict[Statement, tuple[int, int]] = {}
-    for _, t, label, predicate, anchor, n, m in zip(*rows.to_pydict().values(), strict=True):
-        key = (t, label, predicate, anchor)
+    for _, t, label, predicate, anchor, definite, n, m in zip(*rows.to_pydict().values(), strict=True):
+        key = (t, label, predicate, anchor, definite)
         if key in found:
             true, false = found[key]
             n, m = true + n, false + m
@@ -226,7 +229,10 @@ def _of_room(
 ) -> pa.Table:
     here, possible = _seen(arrays), set(arrays.labels)
     absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
-    parts = [_rows(["", *here], "", "", [1] * (1 + len(here)), 0), _rows(list(absent), "", "", 0, [1] * len(absent))]
+    parts = [
+        _rows(["", *here], "", "", False, [1] * (1 + len(here)), 0),
+        _rows(list(absent), "", "", False, 0, [1] * len(absent)),
+    ]
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
@@ -235,7 +241,7 @@ def _of_room(
             keys = np.array([truths.anchor_key(k, arrays.labels) for k in range(len(truths.anchors))], dtype=object)
             labels, anchors = np.array(truths.labels, dtype=object)[rows], keys[columns]
             true, false = truths.true[rows, columns], truths.false[rows, columns]
-            parts.append(_rows(labels, truths.predicate, anchors, true, false))
+            parts.append(_rows(labels, truths.predicate, anchors, truths.definite[rows], true, false))
     joined = pa.concat_tables(parts)
     for at, value in enumerate((layout, room.label)):
         joined = joined.set_column(at, PRIORS.field(at), pa.repeat(value, joined.num_rows))
@@ -247,7 +253,7 @@ def _seen(arrays: RoomArrays) -> set[str]:
     return {label for label, hidden in zip(arrays.labels, arrays.hidden, strict=True) if not hidden}
 
 
-def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> pa.Table:
+def _rows(labels: Any, predicate: str, anchors: Any, definite: Any, true: Any, false: Any) -> pa.Table:
     """Return rows of the counts `true` and `false`, with empty layout and room type. An argument that is a single value
     fills its whole column.
     """
@@ -256,8 +262,8 @@ def _rows(labels: Any, predicate: str, anchors: Any, true: Any, false: Any) -> p
     def column(values: Any, kind: pa.DataType) -> pa.Array:
         return pa.repeat(pa.scalar(values, kind), n) if isinstance(values, str | int) else pa.array(values).cast(kind)
 
-    kinds = [pa.string()] * 5 + [pa.int64()] * 2
-    values = ["", "", labels, predicate, anchors, true, false]
+    kinds = [pa.string()] * 5 + [pa.bool_()] + [pa.int64()] * 2
+    values = ["", "", labels, predicate, anchors, definite, true, false]
     columns = [column(value, kind) for value, kind in zip(values, kinds, strict=True)]
     return pa.table(dict(zip(PRIORS.names, columns, strict=True)), schema=PRIORS)
 

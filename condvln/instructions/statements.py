@@ -25,6 +25,7 @@ class StatementTruths:
 
     labels (l,) : nameable labels of the room
     anchors (a, k) : each row is one choice of the k anchors of a statement, as indices
+    definite (l,) : only one object can be meant by a label, so that text says "the lamp"
     exact (l, n) : which visible objects have a label
     held (n, a) : which objects are in the relation, with margin
     true (l, a) : a visible object of exactly this label is in the relation
@@ -37,6 +38,7 @@ class StatementTruths:
     predicate: Predicate
     labels: tuple[str, ...]
     anchors: NDArray[np.intp]
+    definite: Bools
     exact: Bools
     held: Bools
     true: Bools
@@ -83,6 +85,7 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
             predicate=predicate,
             labels=labels,
             anchors=anchors,
+            definite=definite,
             exact=exact,
             held=held,
             true=np.asarray((exact.astype(np.float32) @ held.astype(np.float32) > 0) & sayable),

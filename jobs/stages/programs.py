@@ -47,7 +47,7 @@ class PriorsAggregate(Aggregate):
     thresholds: Thresholds
     anchor_size: float
     name: str = "priors"
-    version: int = 7
+    version: int = 8
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 
@@ -74,7 +74,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 30
+    version: int = 31
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

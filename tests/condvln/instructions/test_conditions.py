@@ -91,6 +91,32 @@ def test_statements_hold(make_scene, facts_maker, seed: int, rich: bool, each_hi
     assert {(True, False), (False, False)} <= kinds
 
 
+@pytest.mark.parametrize("rich", [False, True])
+def test_true_and_false_statements_of_one_pool_have_one_form(make_scene, facts_maker, rich: bool) -> None:
+    """Either truth is of "the … is near …", or either is of "a … near …". Without counts, no label tells it either."""
+    scenes = [make_scene(seed, objects=14) for seed in range(12 if rich else 3)]
+    priors = LabelPriors.merged(LabelPriors.of_scene(s, Thresholds(), 0.3) for s in scenes)
+    forms: Counter[bool] = Counter()
+    for scene in scenes[:3]:
+        facts, bits = facts_maker(scene), priors.bits(scene, 0.05) if rich else NO_BITS
+        for room in scene.rooms:
+            referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
+            for (predicate, definite), relation in ConditionPool.of(referents, bits, (), vocabulary).relations.items():
+                weights: dict[bool, Counter[str]] = {True: Counter(), False: Counter()}
+                for truth, sums in relation.sums.items():
+                    for k, weight in enumerate(np.diff(sums, prepend=0.0)):
+                        question = relation.question(truth, k)
+                        assert (question.predicate, question.definite) == (predicate, definite)
+                        assert definite == (question.label in referents.unique_labels)
+                        weights[truth][question.label] += float(weight)
+                assert relation.mass == pytest.approx(min(side.total() for side in weights.values()))
+                if not rich:
+                    total = relation.mass
+                    assert weights[True] == pytest.approx(weights[False], abs=1e-3 * total)
+                forms[definite] += 1
+    assert min(forms[True], forms[False]) > 20
+
+
 def test_nothing_is_asked_of_a_room_that_must_not_be_asked(make_scene, facts_maker) -> None:
     scene = make_scene(0, complete=False)
     facts = facts_maker(scene)

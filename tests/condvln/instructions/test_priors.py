@@ -37,9 +37,7 @@ def test_order_and_grouping_do_not_matter(scenes) -> None:
         grouped = [LabelPriors.merged(shuffled[:cut]), LabelPriors.merged(shuffled[cut:])]
         assert LabelPriors.merged(grouped).table().equals(whole)
     assert whole.schema.equals(PRIORS)
-    keys = list(
-        zip(*(whole[c].to_pylist() for c in ("layout", "room_type", "label", "predicate", "anchor")), strict=True)
-    )
+    keys = list(zip(*(whole[c].to_pylist() for c in PRIORS.names[:-2]), strict=True))
     assert keys == sorted(set(keys))
 
 
@@ -66,7 +64,7 @@ def test_counts_are_those_of_the_rooms(scenes) -> None:
             with_it = sum(label in here for here, _ in ours)
             words = vocabulary.overlapping(label)
             lacking = sum(label in elsewhere and not here & words for here, elsewhere in ours)
-            assert bits.counts.get((room_type, label, "", ""), (0, 0)) == (with_it, lacking)
+            assert bits.counts.get((room_type, label, "", "", False), (0, 0)) == (with_it, lacking)
             assert (label in bits.plausible[room_type]) == (with_it > 0 and 2 * with_it >= len(ours))
             if label in bits.varies[room_type]:
                 assert 2 * with_it == len(ours)
@@ -74,11 +72,14 @@ def test_counts_are_those_of_the_rooms(scenes) -> None:
 
 def test_relations_are_counted_once_a_room(scenes, facts_maker) -> None:
     bits = LabelPriors.merged(map(counted, scenes)).bits(scenes[0], 0.05)
-    for room_type, label, predicate, anchor in bits.counts:
-        true, false = bits.counts[room_type, label, predicate, anchor]
-        assert true + false <= sum(room.label == room_type for scene in scenes for room in scene.rooms)
+    rooms = Counter(room.label for scene in scenes for room in scene.rooms)
+    together: Counter[tuple[str, ...]] = Counter()
+    for (room_type, label, predicate, anchor, definite), seen in bits.counts.items():
+        together[room_type, label, predicate, anchor] += sum(seen)
         assert (predicate == "") == (anchor == "")
-    assert any(key[2] for key in bits.counts)
+        assert predicate or not definite
+    assert all(count <= rooms[key[0]] for key, count in together.items())
+    assert {key[4] for key in bits.counts if key[2]} == {True, False}
 
 
 def test_a_scene_reads_only_its_own_rooms_and_labels(scenes) -> None:

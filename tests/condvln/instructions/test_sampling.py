@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from itertools import product
 from typing import Any, cast
 
 import numpy as np
@@ -173,6 +174,21 @@ def test_kind_and_predicate_do_not_tell_the_truth(sampled) -> None:
                 assert chisquare([sum(chosen), len(chosen) - sum(chosen)], expected).pvalue > ALPHA, (position, cue)
 
 
+def test_definite_questions_are_as_often_true_as_indefinite_ones(sampled) -> None:
+    """Where there are several lamps, one of them is near the bed more often than the only one of a room is."""
+    places = [(p.category, k, c) for _, _, _, programs in sampled for p in programs for k, c in enumerate(p.conditions)]
+    truths: dict[tuple[str, int], list[bool]] = {}
+    for category, k, condition in places:
+        truths.setdefault((category, k), []).append(condition.truth)
+    usual = {place: float(np.mean(found)) for place, found in truths.items()}
+    for definite in (True, False):
+        asked = [(c.truth, usual[category, k]) for category, k, c in places if c.qualifier and c.definite == definite]
+        excess = sum(truth - expected for truth, expected in asked)
+        deviation = np.sqrt(sum(expected * (1.0 - expected) for _, expected in asked))
+        assert len(asked) > 300
+        assert abs(excess) < 3.9 * deviation, (definite, excess / deviation)
+
+
 def cue_of(condition: Condition) -> str:
     if condition.qualifier is None:
         return "presence"
@@ -283,9 +299,9 @@ def test_every_weight_of_a_predicate_decides(make_scene, facts_maker, group: str
     """For conditions and for names of stops, also of predicates that no made scene has a use for."""
     weights = PredicateWeights(**{name: 0.7 * (name == group) for name in PREDICATE_GROUPS})
     own, sampling = PREDICATE_GROUPS[group], SamplingConfig(predicates=weights)
-    pool = ConditionPool(None, dict.fromkeys(PREDICATES, cast("RelationPool", None)))
+    pool = ConditionPool(None, dict.fromkeys(product(PREDICATES, (True, False)), cast("RelationPool", None)))
     asked = ConditionSampler({}, sampling, vocabulary, single_room=False)._groups(pool)
-    assert [(predicates, weight) for predicates, weight in asked if weight] == [(own, 0.7)]
+    assert [(forms, weight) for forms, weight in asked if weight] == [(tuple(product(own, (True, False))), 0.7)]
     scene = make_scene(0)
     bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     sampler = made_sampler(scene, facts_maker(scene), bits, sampling=sampling)
