@@ -21,24 +21,21 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.instructions.informative import informative_weights
 from condvln.instructions.predicates import ASKED
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
-from schemas.config.constants import EVIDENCE
 from schemas.program import BEARINGS, Predicate
 
-__all__ = ["ConditionPool", "Form", "Question", "RelationPool", "balanced_weights", "informative_weights"]
+__all__ = ["ConditionPool", "Form", "Question", "RelationPool", "balanced_weights"]
 
 BALANCING_ROUNDS: Final = 30
 """Iterations of proportional fitting; the marginals of real rooms converge to 1e-3 within about ten."""
 
 LEAST_WEIGHT: Final = 1e-6
 """A cell whose weight falls below this share of the largest counts as excluded by the fitting."""
-
-PSEUDOCOUNT: Final = 0.5
-"""Added to both counts of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -228,20 +225,6 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, Relatio
     }
 
 
-def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:
-    """Return the sampling weights of a statement, by truth, from the number of rooms in which it is true and the number
-    in which it is false.
-
-    True occurrences are weighted by the share of false ones and vice versa, so that over all rooms a statement is
-    sampled as often true as false, and rarely if its truth hardly varies. Both weights are 0 if it did not vary in at
-    least `evidence` rooms.
-    """
-    if n_true + n_false >= evidence and min(n_true, n_false) == 0:
-        return {True: 0.0, False: 0.0}
-    rate = (n_true + PSEUDOCOUNT) / (n_true + n_false + 2.0 * PSEUDOCOUNT)
-    return {True: 1.0 - rate, False: rate}
-
-
 def _informative_tables(referents: Referents, truths: StatementTruths, bits: PriorBits) -> dict[bool, F64] | None:
     """Return the weights of all statements by truth, computed from counts in rooms of this type; None if the counts are
     too small.
@@ -249,13 +232,17 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
     room_type, own = referents.room.label, referents.arrays.labels
     tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
     known, evidence = False, bits.evidence(room_type)
+    factors = [
+        bits.label_weights.get((room_type, label, truths.predicate, bool(definite)), (1.0, 1.0))
+        for label, definite in zip(truths.labels, truths.definite, strict=True)
+    ]
     for truth, support in ((True, truths.true), (False, truths.false)):
         for row, column in np.argwhere(support):
             form = (truths.predicate, truths.anchor_key(column, own), bool(truths.definite[row]))
             key = (room_type, truths.labels[row], *form)
             seen = bits.counts.get(key, (0, 0))
             known |= sum(seen) >= evidence
-            tables[truth][row, column] = informative_weights(*seen, evidence)[truth]
+            tables[truth][row, column] = factors[row][truth] * informative_weights(*seen, evidence)[truth]
     return tables if known else None
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from typing import Any, Final
@@ -22,6 +22,7 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.instructions.informative import LabelForm, label_weights
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import anchor_key, statement_truths
 from condvln.labels import vocabulary
@@ -76,12 +77,15 @@ class PriorBits:
     counts : by statement, the number of rooms in which it is true and of those in which it is false; if the scene's
         layout has enough rooms, only these are counted; statements never found are missing
     staged : room types for which only rooms of the scene's layout are counted
+    label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
+        statements (``informative.label_weights``)
     """
 
     plausible: Mapping[str, frozenset[str]]
     varies: Mapping[str, frozenset[str]]
     counts: Mapping[Statement, tuple[int, int]]
     staged: frozenset[str] = frozenset()
+    label_weights: Mapping[LabelForm, tuple[float, float]] = field(default_factory=dict)
 
     def evidence(self, room_type: str) -> int:
         """Return the minimum number of rooms of type `room_type` in which a statement must be counted before its counts
@@ -93,7 +97,10 @@ class PriorBits:
         """Return these priors as sorted JSON. Instead of the rate at which each statement is true, the JSON holds one
         hash of all these rates. Equal priors give equal bytes.
         """
-        rates = [(*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())]
+        rates: list[tuple[object, ...]] = [
+            (*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())
+        ]
+        rates += [(*key, *(round(RATE_STEPS * f) for f in both)) for key, both in sorted(self.label_weights.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
@@ -192,7 +199,26 @@ class LabelPriors:
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
             counts=counts,
             staged=staged,
+            label_weights=self._label_weights(seen, types, layout, staged),
         )
+
+    def _label_weights(
+        self, labels: Sequence[str], types: Sequence[str], layout: str, staged: frozenset[str]
+    ) -> dict[LabelForm, tuple[float, float]]:
+        """Return the weights of a scene's labels; see `PriorBits`. They count statements with all anchors, also with
+        those that the scene lacks.
+        """
+        columns = {name: self._counts[name] for name in ("layout", "room_type", "label", "predicate")}
+        read = pc.and_(
+            pc.is_in(columns["room_type"], pa.array(types, pa.string())),
+            pc.is_in(columns["label"], pa.array(labels, pa.string())),
+        )
+        own = pc.or_(
+            pc.invert(pc.is_in(columns["room_type"], pa.array(sorted(staged), pa.string()))),
+            pc.equal(columns["layout"], layout),
+        )
+        related = pc.not_equal(columns["predicate"], "")
+        return label_weights(self._counts.filter(pc.and_(pc.and_(read, own), related)), staged)
 
 
 def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pytest
 
@@ -17,6 +18,7 @@ from condvln.scene import Scene
 from condvln.scene.layouts import layout_of
 from condvln.sources.registry import open_source
 from schemas.config import Thresholds
+from schemas.program import CATEGORIES as ALL_CATEGORIES
 from schemas.program import Category
 from tests.condvln.instructions.made_sampler import made_sampler
 
@@ -56,3 +58,30 @@ def test_the_gate_sees_statements_that_are_foregone_conclusions(real_data: Path,
     # With counts over both layouts together, those that are true all over one and false all over the other.
     mixed = verdict(lambda scene: pooled.bits(scene, 0.05))
     assert {finding.guesser for finding in mixed.beaten} == {"statement in its layout"}
+
+
+@pytest.mark.soak
+def test_a_definite_question_is_as_often_true_as_an_indefinite_one(real_data: Path) -> None:
+    """Of several lamps, one is near the bed more often than the only lamp of a room is."""
+    if not (real_data / "procthor").is_dir():
+        pytest.skip(f"no procthor in {real_data}")
+    source = open_source("procthor", real_data / "procthor")
+    scenes = [scene for scene in map(source.read, (h.scene_id for h in source.handles())) if len(scene.rooms) > 1]
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
+    asked: list[tuple[str, int, bool, bool]] = []
+    for scene in scenes:
+        facts = {room: text_facts(found, T) for room, found in relate_scene(scene, T).items()}
+        wanted = dict.fromkeys(ALL_CATEGORIES, 20)
+        sampler = made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, candidates=1)
+        for category in ALL_CATEGORIES:
+            for program in sampler.candidates(category):
+                conditions = enumerate(program.conditions)
+                asked += [(category, k, c.definite, c.truth) for k, c in conditions if c.qualifier is not None]
+    truths: dict[tuple[str, int], list[bool]] = {}
+    for category, k, _, truth in asked:
+        truths.setdefault((category, k), []).append(truth)
+    for definite in (True, False):
+        found = [(truth, np.mean(truths[category, k])) for category, k, form, truth in asked if form == definite]
+        assert len(found) > 800
+        excess = sum(truth - usual for truth, usual in found)
+        assert abs(excess) < 3.5 * np.sqrt(sum(usual * (1.0 - usual) for _, usual in found)), (definite, excess)

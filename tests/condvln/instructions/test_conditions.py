@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.instructions import LabelPriors
-from condvln.instructions.conditions import ConditionPool, Question, balanced_weights, informative_weights
+from condvln.instructions.conditions import ConditionPool, Question, balanced_weights
 from condvln.instructions.likeness import called_side_tables
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
@@ -20,7 +20,6 @@ from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays
 from schemas.config import Thresholds
-from schemas.config.constants import EVIDENCE, STAGINGS
 
 NO_BITS = PriorBits({}, {}, {})
 
@@ -168,19 +167,6 @@ def test_what_a_nameless_thing_may_be_is_never_said_to_be_absent(make_scene, fac
                     assert not referents.unique_labels & may_be
     assert asked["", False] > asked["container", False] + asked["container", True] > 0
     assert asked["unknown", True]
-
-
-@given(st.integers(0, 400), st.integers(0, 400), st.sampled_from([STAGINGS, EVIDENCE]))
-def test_a_statement_is_asked_as_often_true_as_false(n_true: int, n_false: int, evidence: int) -> None:
-    weights = informative_weights(n_true, n_false, evidence)
-    if n_true + n_false >= evidence and 0 in (n_true, n_false):
-        assert weights == {True: 0.0, False: 0.0}
-    else:
-        assert min(weights.values()) > 0.0
-    if min(n_true, n_false) >= 20:
-        assert n_true * weights[True] == pytest.approx(n_false * weights[False], rel=0.03)
-    assert weights[True] <= 1.0
-    assert weights[False] <= 1.0
 
 
 @given(st.integers(2, 8), st.integers(2, 8), st.integers(0, 2**32))

@@ -1,0 +1,77 @@
+"""Weights of statements that keep their truth from being predictable, from counts over rooms.
+
+A statement that is usually true is asked rarely where it is true, and as often where it is false. Statements seen in a
+few rooms can't be balanced one by one; their labels can: the weights of a label's statements are lowered for the truth
+that would be asked more often.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from schemas.config.constants import EVIDENCE, STAGINGS
+
+__all__ = ["LabelForm", "informative_weights", "label_weights"]
+
+PSEUDOCOUNT: Final = 0.5
+"""Added to both counts of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
+
+F64 = NDArray[np.float64]
+
+LabelForm = tuple[str, str, str, bool]
+"""Room type, label, predicate, whether statements about the label are definite."""
+
+_STATEMENT: Final = ["room_type", "label", "predicate", "anchor", "definite"]
+
+
+def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:
+    """Return the sampling weights of a statement, by truth, from the number of rooms in which it is true and the number
+    in which it is false.
+
+    True occurrences are weighted by the share of false ones and vice versa, so that over all rooms a statement is
+    sampled as often true as false, and rarely if its truth hardly varies. Both weights are 0 if it did not vary in at
+    least `evidence` rooms.
+    """
+    true, false = _weights(np.array([float(n_true)]), np.array([float(n_false)]), np.array([evidence]))
+    return {True: float(true[0]), False: float(false[0])}
+
+
+def _weights(n_true: F64, n_false: F64, evidence: NDArray[np.int64]) -> tuple[F64, F64]:
+    total = n_true + n_false
+    rate = (n_true + PSEUDOCOUNT) / (total + 2.0 * PSEUDOCOUNT)
+    varies = (total < evidence) | (np.minimum(n_true, n_false) > 0)
+    return np.where(varies, 1.0 - rate, 0.0), np.where(varies, rate, 0.0)
+
+
+def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, tuple[float, float]]:
+    """Return, for each form of the statements about a label in a type of room, the factors by which the weights of its
+    false and of its true statements are multiplied. With them, statements of this form are sampled as often true as
+    false over all rooms; no factor is above 1.
+
+    Parameters
+    ----------
+    counts : relational statements, with the columns ``n_true`` and ``n_false``; a statement may have several rows
+    staged : room types whose statements are of stagings of one layout
+    """
+    sums = counts.group_by(_STATEMENT).aggregate([("n_true", "sum"), ("n_false", "sum")])
+    n_true, n_false = (sums[name].to_numpy().astype(np.float64) for name in ("n_true_sum", "n_false_sum"))
+    of_layout = pc.is_in(sums["room_type"], pa.array(sorted(staged), pa.string())).to_numpy()
+    true, false = _weights(n_true, n_false, np.where(of_layout, STAGINGS, EVIDENCE))
+    forms = {name: sums[name] for name in _STATEMENT if name != "anchor"}
+    drawn = pa.table({**forms, "false": n_false * false, "true": n_true * true}).group_by(list(forms))
+    columns = drawn.aggregate([("false", "sum"), ("true", "sum")]).select([*forms, "false_sum", "true_sum"])
+    return {
+        (room_type, label, predicate, definite): _lowered(of_false, of_true)
+        for room_type, label, predicate, definite, of_false, of_true in zip(*columns.to_pydict().values(), strict=True)
+    }
+
+
+def _lowered(of_false: float, of_true: float) -> tuple[float, float]:
+    """Return the factors, none above 1, that make both sums equal; both are 0 if one of the sums is."""
+    less = min(of_false, of_true)
+    return (less / of_false, less / of_true) if less > 0.0 else (0.0, 0.0)
