@@ -21,6 +21,9 @@ __all__ = ["LabelForm", "informative_weights", "label_weights"]
 PSEUDOCOUNT: Final = 0.5
 """Added to both counts of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
 
+EXACT: Final = 2.0**30
+"""Weights are added as whole multiples of 1 / EXACT, so that the sum does not depend on the order of rows."""
+
 F64 = NDArray[np.float64]
 
 LabelForm = tuple[str, str, str, bool]
@@ -63,7 +66,11 @@ def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, t
     of_layout = pc.is_in(sums["room_type"], pa.array(sorted(staged), pa.string())).to_numpy()
     true, false = _weights(n_true, n_false, np.where(of_layout, STAGINGS, EVIDENCE))
     forms = {name: sums[name] for name in _STATEMENT if name != "anchor"}
-    drawn = pa.table({**forms, "false": n_false * false, "true": n_true * true}).group_by(list(forms))
+    exact = {
+        name: np.rint(weight * EXACT).astype(np.int64)
+        for name, weight in (("false", n_false * false), ("true", n_true * true))
+    }
+    drawn = pa.table({**forms, **exact}).group_by(list(forms))
     columns = drawn.aggregate([("false", "sum"), ("true", "sum")]).select([*forms, "false_sum", "true_sum"])
     return {
         (room_type, label, predicate, definite): _lowered(of_false, of_true)
@@ -71,7 +78,7 @@ def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, t
     }
 
 
-def _lowered(of_false: float, of_true: float) -> tuple[float, float]:
+def _lowered(of_false: int, of_true: int) -> tuple[float, float]:
     """Return the factors, none above 1, that make both sums equal; both are 0 if one of the sums is."""
     less = min(of_false, of_true)
-    return (less / of_false, less / of_true) if less > 0.0 else (0.0, 0.0)
+    return (less / of_false, less / of_true) if less > 0 else (0.0, 0.0)
