@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +21,7 @@ from factory.snapshot import Snapshot, read_manifest, read_ref, ref_path
 from jobs.bias import add_bias, priors_behind
 from jobs.export_lock import alone_in_export
 from jobs.export_origin import Origin, refuse_losses
+from jobs.export_pictures import card_pictures
 from jobs.listing import listed_units
 from jobs.oracle import linear_text
 from jobs.pipeline import built_navmeshes
@@ -85,17 +87,19 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
 
     wording = config.instructions.wording
     texts = {"seed": config.seed, "preamble": config.text.preamble, **wording.model_dump(mode="json")}
+    tables, navmeshes = FolderTables(snapshot_folder(config.store, snapshot)), built_navmeshes(config, snapshot)
     done = export_snapshot(
-        FolderTables(snapshot_folder(config.store, snapshot)),
+        tables,
         config.export,
         ExportConfig(
             splits=config.splits,
             texts=texts,
         ),
         oracle_texts=_linear_text(config.seed, config.text.preamble, wording),
-        navmeshes=built_navmeshes(config, snapshot),
+        navmeshes=navmeshes,
         graphs=graphs_of(config),
         former=_former(config, snapshot),
+        pictures=partial(card_pictures, tables, navmeshes),
         complete=complete,
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]

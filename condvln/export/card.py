@@ -44,6 +44,7 @@ def dataset_card(report: ExportReport, name: str) -> str:
         _counts(report),
         "## Examples",
         _examples(report),
+        *_pictures(report),
         "## Balance",
         _balance(report),
         "## Bias",
@@ -108,18 +109,19 @@ _FILES: Final = """\
 | `oracle/<split>/` | the oracle-linear twin: only the instruction differs, it tells the right branch alone |
 %s| `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
 | `navmeshes/` | navmeshes built for scenes that ship none |
-| `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
+%s| `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
 | `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
 | `origin.json` | the configuration, the code's versions and the scenes that it was made of |
 
 Positions are metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
 
 
+_PLANS: Final = "| `pictures/` | the plans below |\n"
 _R2R: Final = "| `r2r/` | discrete R2R over Matterport viewpoints, of the scans of Matterport3D |\n"
 
 
 def _files(report: ExportReport) -> str:
-    return _FILES % (_R2R if report.r2r_episodes else "")
+    return _FILES % (_R2R if report.r2r_episodes else "", _PLANS if report.pictures else "")
 
 
 def _meshes(report: ExportReport) -> str:
@@ -161,6 +163,20 @@ def _examples(report: ExportReport) -> str:
         for category in CATEGORIES
         if category in report.examples
     )
+
+
+def _pictures(report: ExportReport) -> list[str]:
+    """Return the plan of one episode for each source, with its text."""
+    if not report.pictures:
+        return []
+    said = (
+        "Plans with the start and its heading, the gold path and its leaf (green, ★), the other leaves (dashed) and "
+        "the stops before each leaf (numbered circles). `condvln explore` shows every episode so."
+    )
+    shown = (
+        f"![plan of {path.rsplit('/', 1)[1].split('.')[0]}]({path})\n\n{text}" for path, text in report.pictures.items()
+    )
+    return ["## Pictures", said, *shown]
 
 
 def _balance(report: ExportReport) -> str:

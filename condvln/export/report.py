@@ -11,7 +11,7 @@ from condvln.bias import BiasReport
 from condvln.export.selection import SelectionCell
 from schemas.version import SCHEMA_VERSION
 
-__all__ = ["ExportReport", "WrittenFile"]
+__all__ = ["CardPicture", "ExportReport", "WrittenFile"]
 
 
 SMALL_SPLIT: Final = 0.05
@@ -34,6 +34,15 @@ class WrittenFile:
 
     bytes: int
     sha256: str
+
+
+@dataclass(frozen=True)
+class CardPicture:
+    """A picture of the dataset card: its path below the export's folder, its caption, and the bytes of the file."""
+
+    path: str
+    caption: str
+    data: bytes
 
 
 @dataclass
@@ -59,6 +68,8 @@ class ExportReport:
     """Number of episodes by split, axis and value."""
     examples: dict[str, tuple[int, str]] = field(default_factory=dict)
     """For each category the episode of the least id, and its text."""
+    pictures: dict[str, str] = field(default_factory=dict)
+    """Captions of the card's pictures by path."""
     most_steps: int = 0
     """Largest step budget of an episode; of all episodes if the configuration sets one number."""
     least_steps: int = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from condvln.export.contents import CHANGELOG, INDEX, document_digest, exported_
 from condvln.export.croissant import croissant
 from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, PoolBuilder
 from condvln.export.r2r import Graphs
-from condvln.export.report import ExportReport, WrittenFile
+from condvln.export.report import CardPicture, ExportReport, WrittenFile
 from condvln.export.rows import Row, rows_of
 from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
@@ -38,6 +38,9 @@ __all__ = ["ExportConfig", "NavmeshBytes", "export_snapshot"]
 
 Complete = Callable[[Path, ExportReport], None]
 """Called with the new files and their report before they replace the former export."""
+
+Pictures = Callable[[Path], Iterable[CardPicture]]
+"""Called with the new folder after the manifests are written; returns the pictures of the dataset card."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of written episodes and of all episodes."""
@@ -70,6 +73,7 @@ def export_snapshot(
     navmeshes: NavmeshBytes | None = None,
     graphs: Graphs | None = None,
     former: SnapshotTables | None = None,
+    pictures: Pictures | None = None,
     progress: Progress | None = None,
     complete: Complete | None = None,
 ) -> ExportReport:
@@ -87,7 +91,7 @@ def export_snapshot(
     graphs : connectivity by Matterport3D scan; with them the discrete R2R files are written
     former : the previously published snapshot. If the folder holds no export, ``CHANGELOG.md`` compares with this
         snapshot; if it holds this snapshot's export, the snapshot says which episodes were generated but not selected
-
+    pictures : draws the pictures of the dataset card; without it the card has none
     complete : called before the exchange; may add files, or raise an error to keep the former export
 
     Raises
@@ -96,7 +100,17 @@ def export_snapshot(
     """
     with staged(out) as new:
         return _write_export(
-            tables, out, new, config or ExportConfig(), oracle_texts, navmeshes, graphs, former, progress, complete
+            tables,
+            out,
+            new,
+            config or ExportConfig(),
+            oracle_texts,
+            navmeshes,
+            graphs,
+            former,
+            pictures,
+            progress,
+            complete,
         )
 
 
@@ -109,6 +123,7 @@ def _write_export(
     navmeshes: NavmeshBytes | None,
     graphs: Graphs | None,
     former: SnapshotTables | None,
+    pictures: Pictures | None,
     progress: Progress | None,
     complete: Complete | None,
 ) -> ExportReport:
@@ -132,6 +147,9 @@ def _write_export(
         _write_rows(tables, splits_of, writer, report, progress)
     if config.splits.bias != "off":
         report.bias = judge_export(new)
+    for picture in pictures(new) if pictures is not None else ():
+        _write(new, picture.path, picture.data, report)
+        report.pictures[picture.path] = picture.caption
     _write_documents(new, config.name, report)
     _write_changelog(out, new, published, before, generated)
     if complete is not None:
@@ -175,9 +193,13 @@ def _write_documents(out: Path, name: str, report: ExportReport) -> None:
         "croissant.json": orjson.dumps(croissant(report, name), option=orjson.OPT_INDENT_2).decode() + "\n",
     }
     for path, text in texts.items():
-        with atomic_stream(out / path) as stream:
-            stream.write(text.encode())
-        report.files[path] = WrittenFile(stream.size, stream.digest.hexdigest())
+        _write(out, path, text.encode(), report)
+
+
+def _write(out: Path, path: str, data: bytes, report: ExportReport) -> None:
+    with atomic_stream(out / path) as stream:
+        stream.write(data)
+    report.files[path] = WrittenFile(stream.size, stream.digest.hexdigest())
 
 
 def _formerly(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import shutil
 from collections import Counter
@@ -12,13 +13,16 @@ from typing import Any
 import pytest
 
 from condvln.explorer.chunks import chunk_content
+from condvln.export.tables import FolderTables
 from condvln.manifest import manifest_lines, manifest_paths
+from condvln.sources.family import FAMILIES
 from jobs.evaluate import walk_split
 from jobs.explore import Exploration, explore
 from jobs.explore_drift import former_episodes
+from jobs.export_pictures import card_pictures
 from jobs.generate import run_generate
 from jobs.report import Report
-from jobs.workspace import published
+from jobs.workspace import published, snapshot_folder
 from schemas.config import Config, InstructionsConfig
 from schemas.errors import UsageError
 from tests.jobs.conftest import configuration
@@ -129,6 +133,32 @@ def test_two_snapshots_are_compared(made_run: tuple[Config, Report], made_datase
         assert drift[shown] == [row for row in rows if shown == "cells" or row[2] != row[3]]
     assert former_episodes(before.snapshot_id, second).episodes.keys() == {str(name) for name in old}
     assert former_episodes(second.name, second).episodes.keys() == {str(name) for name in new}, "a ref names the latest"
+
+
+def test_the_card_shows_a_plan_of_each_source(export: Path) -> None:
+    record = json.loads((export / "export.json").read_text())
+    (picture,) = (export / "pictures").iterdir()
+    assert picture.name == "replicacad.svg"
+    data = picture.read_bytes()
+    assert len(data) < 100_000
+    assert hashlib.sha256(data).hexdigest() == record["files"]["pictures/replicacad.svg"]["sha256"]
+    card = (export / "README.md").read_text()
+    assert "(pictures/replicacad.svg)" in card
+    assert record["pictures"]["pictures/replicacad.svg"] in card
+    rows = [line.fields() for path in manifest_paths(export) for line in manifest_lines(path)]
+    most = max(len(row["leaves"]) for row in rows)
+    assert data.count(b"<polyline") == most
+
+
+def test_licensed_scenes_have_no_picture(monkeypatch: pytest.MonkeyPatch, asked: Exploration, export: Path) -> None:
+    licensed = dataclasses.replace(FAMILIES["replicacad"], licensed=True)
+    monkeypatch.setitem(FAMILIES, "replicacad", licensed)
+    assert asked.config is not None
+    snapshot = published(asked.config)
+    tables = FolderTables(snapshot_folder(asked.config.store, snapshot))
+    assert [*card_pictures(tables, lambda *_: None, export)] == []
+    monkeypatch.undo()
+    assert [one.path for one in card_pictures(tables, lambda *_: None, export)] == ["pictures/replicacad.svg"]
 
 
 def test_faults_leave_no_page(asked: Exploration, export: Path, tmp_path: Path) -> None:
