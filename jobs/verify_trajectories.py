@@ -42,6 +42,7 @@ def verify_trajectories(target: Target, folder: Path, *, render_every: int = REN
         f"{proof.walks:,} walks, {proof.frames:,} frames, {proof.images:,} images read, {proof.rendered:,} rendered "
         f"again: {len(proof.faults):,} faults"
     ]
+    lines += [f"{name}: {count:,} rows compared with the images and poses" for name, count in proof.layout_rows.items()]
     lines += [str(fault) for fault in proof.faults[:SHOWN]]
     if len(proof.faults) > SHOWN:
         lines.append(f"… and {len(proof.faults) - SHOWN:,} more, see --json")

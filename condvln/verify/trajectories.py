@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from condvln.navigation.follower import STOP, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
+from condvln.verify.training_layouts import prove_layouts
 from schemas.config import CameraConfig
 from schemas.errors import FormatError, MissingFileError
 from schemas.evaluation import ManifestEpisode
@@ -71,12 +72,13 @@ class TrajectoryWorld:
 
 @dataclass
 class TrajectoryProof:
-    """Counts of what was checked, and the faults."""
+    """Counts of what was checked, `layout_rows` by layout, and the faults."""
 
     walks: int = 0
     frames: int = 0
     images: int = 0
     rendered: int = 0
+    layout_rows: dict[str, int] = field(default_factory=dict)
     faults: list[TrajectoryFault] = field(default_factory=list)
 
 
@@ -113,6 +115,10 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
         frames = _Frames(folder if written else None, walk, rows, cameras, images, world)
         proof.faults += [TrajectoryFault(name, what) for what in frames.faults(proof)]
     proof.faults += [TrajectoryFault(name, "the walk has no poses") for name in sorted(set(owners) - seen)]
+    if written:
+        layouts = prove_layouts(folder, record, walks)
+        proof.layout_rows = layouts.rows
+        proof.faults += [TrajectoryFault(name, what) for name, what in layouts.faults]
     left_out = _table(folder, "left_out").to_pylist()
     proof.faults += [TrajectoryFault("", what) for what in _unaccounted(world.episodes, images, walks, left_out)]
     return proof
@@ -366,7 +372,9 @@ def _record(folder: Path) -> dict[str, Any]:
         return {
             "cameras": dict(found["cameras"]),
             "config": dict(found["config"]),
-            "images_written": found.get("images_written", True),
+            "layouts": list(found["layouts"]),
+            "split": str(found["split"]),
+            "images_written": bool(found.get("images_written", True)),
         }
     except FileNotFoundError:
         raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None

@@ -155,6 +155,7 @@ def test_mutants_are_caught(asked: Request, made: Path, tmp_path: Path) -> None:
     tables["poses"] = [row for row in tables["poses"] if row["camera"] == "rgb"]
     record = json.loads((made / "trajectories.json").read_bytes())
     record["cameras"] = {"rgb": record["cameras"]["rgb"]}
+    record["layouts"] = ["streamvln"]
     schemas = {name: pq.read_schema(made / f"{name}.parquet") for name in tables}
     entries = json.loads((made / "annotations.json").read_bytes())
     owners = sorted({row["frames_of"] for row in tables["trajectories"]})

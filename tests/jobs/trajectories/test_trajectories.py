@@ -150,6 +150,12 @@ def test_trajectories_are_proven(asked: Request, made: Path) -> None:
     assert report.document["faults"] == []
     assert report.exit_code == 0
     assert report.document["rendered"] > 3
+    counts = report.document["layout_rows"]
+    walks = rows(made, "trajectories")
+    assert counts["navila"] == sum(1 for _ in (made / "navila" / "annotations.json").open())
+    assert counts["janusvln"] == sum(sum(row["repeats"]) for row in walks)
+    assert counts["uninavid"] == len(json.loads((made / "uninavid" / "annotations.json").read_bytes()))
+    assert counts["internvla-n1"] == sum(row["n_frames"] for row in walks)
 
 
 def test_a_walk_that_no_file_speaks_of_is_missed(asked: Request, made: Path, tmp_path: Path) -> None:
@@ -161,6 +167,8 @@ def test_a_walk_that_no_file_speaks_of_is_missed(asked: Request, made: Path, tmp
             (out / "images").symlink_to(path)
         elif path.is_file():
             shutil.copy(path, out)
+    record = json.loads((made / "trajectories.json").read_bytes())
+    (out / "trajectories.json").write_text(json.dumps(record | {"layouts": ["streamvln"]}))
     lost = rows(made, "trajectories")[0]["episode_id"]
     for name in ("trajectories", "poses"):
         table = pq.read_table(made / f"{name}.parquet")

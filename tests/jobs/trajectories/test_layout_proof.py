@@ -1,0 +1,132 @@
+"""Faults planted in the layouts of a folder: the verifier names the layout."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from condvln.verify.training_layouts import prove_layouts
+from tests.jobs.trajectories.made import rows
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    """A copy whose images are links: a test replaces files, and writes into none."""
+    out = tmp_path / "copy"
+    shutil.copytree(made, out, copy_function=os.link, ignore=shutil.ignore_patterns(".condvln"))
+    return out
+
+
+def replace(path: Path, data: bytes) -> None:
+    path.unlink()
+    path.write_bytes(data)
+
+
+def lines(path: Path, change: Callable[[list[Any]], object]) -> None:
+    found = [json.loads(line) for line in path.read_bytes().splitlines()]
+    change(found)
+    replace(path, b"".join(json.dumps(row).encode() + b"\n" for row in found))
+
+
+def listed(path: Path, change: Callable[[list[Any]], object]) -> None:
+    found = json.loads(path.read_bytes())
+    change(found)
+    replace(path, json.dumps(found).encode())
+
+
+def cell(path: Path, column: str, change: Callable[[Any], Any]) -> None:
+    table = pq.read_table(path)
+    values = table[column].to_pylist()
+    values[2] = change(values[2])
+    at = table.schema.get_field_index(column)
+    replaced = table.set_column(at, table.schema.field(at), pa.array(values, table.schema.field(at).type))
+    path.unlink()
+    pq.write_table(replaced, path)
+
+
+def swap(one: Path, other: Path) -> None:
+    first, second = one.read_bytes(), other.read_bytes()
+    assert first != second
+    replace(one, second)
+    replace(other, first)
+
+
+def first_of(folder: Path, pattern: str, count: int = 1) -> list[Path]:
+    return sorted(folder.rglob(pattern))[:count]
+
+
+def n1(folder: Path) -> Path:
+    return first_of(folder / "internvla-n1", "episode_000000.parquet")[0]
+
+
+def images_of_n1(folder: Path) -> list[Path]:
+    (place,) = first_of(folder / "internvla-n1", "observation.images.rgb.125cm_30deg")
+    return [place / "episode_000000_0.jpg", place / "episode_000000_4.jpg"]
+
+
+def answered(key: str, place: int, value: Any) -> Callable[[list[Any]], object]:
+    return lambda found: found[place].update({key: value})
+
+
+def replied(found: list[Any]) -> None:
+    found[5]["conversations"][1]["value"] += " stop"
+
+
+MUTANTS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "an answer": (
+        "navila",
+        lambda f: lines(f / "navila/annotations.json", answered("a", 7, "Go.")),
+    ),
+    "a question": ("navila", lambda f: lines(f / "navila/annotations.json", answered("q", 7, "Go."))),
+    "a frame": ("navila", lambda f: lines(f / "navila/annotations.json", lambda rows: rows[7]["frames"].pop(0))),
+    "a row lost": ("navila", lambda f: lines(f / "navila/annotations.json", lambda rows: rows.pop())),
+    "a row twice": ("navila", lambda f: lines(f / "navila/annotations.json", lambda rows: rows.append(rows[-1]))),
+    "no file": ("navila", lambda f: (f / "navila/annotations.json").unlink()),
+    "a reply": ("uninavid", lambda f: listed(f / "uninavid/annotations.json", replied)),
+    "a video": ("uninavid", lambda f: swap(*first_of(f / "uninavid/nav_videos", "*_*.mp4", 2))),
+    "a video lost": ("uninavid", lambda f: first_of(f / "uninavid/nav_videos", "*.mp4")[0].unlink()),
+    "a video cut": ("uninavid", lambda f: replace(p := first_of(f / "uninavid", "*.mp4")[0], p.read_bytes()[:-99])),
+    "a sample lost": ("uninavid", lambda f: listed(f / "uninavid/annotations.json", lambda rows: rows.pop(3))),
+    "a choice": ("janusvln", lambda f: listed(f / "janusvln/train.json", replied)),
+    "an image": ("janusvln", lambda f: listed(f / "janusvln/train.json", lambda rows: rows[5]["images"].reverse())),
+    "a sample twice": ("janusvln", lambda f: listed(f / "janusvln/train.json", lambda rows: rows.append(rows[-1]))),
+    "frames swapped": ("janusvln", lambda f: swap(*first_of(f / "janusvln/trajectory_data", "rgb_000[05]_*", 2))),
+    "a frame lost": ("janusvln", lambda f: first_of(f / "janusvln/trajectory_data", "*.png")[0].unlink()),
+    "an action": ("internvla-n1", lambda f: cell(n1(f), "action", lambda value: value % 3 + 1)),
+    "a pose": ("internvla-n1", lambda f: cell(n1(f), "pose.125cm_30deg", lambda m: [*m[:3], [0, 0, 0, 2]])),
+    "a goal": ("internvla-n1", lambda f: cell(n1(f), "goal.125cm_30deg", lambda goal: [goal[0] + 1, goal[1]])),
+    "a goal's frame": ("internvla-n1", lambda f: cell(n1(f), "relative_goal_frame_id.125cm_30deg", lambda k: k + 1)),
+    "a task": ("internvla-n1", lambda f: lines(first_of(f, "tasks.jsonl")[0], answered("task", 0, "Go."))),
+    "a length": ("internvla-n1", lambda f: lines(first_of(f, "episodes.jsonl")[0], answered("length", 0, 3))),
+    "images swapped": ("internvla-n1", lambda f: swap(*images_of_n1(f))),
+    "an image lost": ("internvla-n1", lambda f: images_of_n1(f)[0].unlink()),
+    "a scene lost": ("internvla-n1", lambda f: shutil.rmtree(min((f / "internvla-n1").iterdir()))),
+}
+
+
+def faults_of(folder: Path, layout: str) -> list[str]:
+    record = json.loads((folder / "trajectories.json").read_bytes()) | {"layouts": [layout]}
+    return [what for _, what in prove_layouts(folder, record, rows(folder, "trajectories")).faults]
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("fault", MUTANTS)
+def test_a_planted_fault_is_found(fault: str, copy: Path) -> None:
+    layout, change = MUTANTS[fault]
+    change(copy)
+    found = faults_of(copy, layout)
+    assert found
+    assert all(what.startswith(f"{layout}: ") for what in found)
+
+
+@pytest.mark.parametrize("layout", ["navila", "uninavid", "janusvln", "internvla-n1"])
+def test_sound_layouts_have_no_fault(layout: str, made: Path) -> None:
+    assert faults_of(made, layout) == []
