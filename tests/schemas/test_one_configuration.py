@@ -58,9 +58,13 @@ TECHNICAL = {
     "episodes/facing.py": {"HEADINGS"},
     "instructions/sampling.py": {"SEARCHED", "TRIES_PER_CANDIDATE", "VAIN_TRIES"},
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
-    "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT", "PSEUDOCOUNT"},
+    "instructions/conditions.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT"},
+    "instructions/informative.py": {"EXACT", "PSEUDOCOUNT"},
     # Voices of the text: wordings that mean the same, and where a sentence is split.
-    "instructions/rendering.py": {"CHECK_SHARE", "LONGEST_SENTENCE"},
+    "instructions/renderer.py": {"CHECK_SHARE", "COMPOUND_SHARE", "LONGEST_SENTENCE", "LOOK_SHARE"},
+    # Where drawings of episodes put their marks and labels.
+    "episodes/picture.py": {"HIGH", "LOW", "MARK"},
+    "episodes/picture_labels.py": {"DIRECTIONS", "GAP", "LED", "NEARBY", "RINGS", "STEP"},
     # R2R's own rules on viewpoint graphs, which are not those of a navmesh.
     "episodes/graph_placing.py": {"REACH", "FARTHEST", "STOREY", "BORDER", "UNEVEN"},
 }
