@@ -309,6 +309,15 @@ def test_osr_and_ndtw_as_stock_vlnce_has_them(evaluate: Any, agents: dict[str, P
     assert {key for key in ours if ours[key] != stock[key]} <= {"oracle_success", "ndtw"}
 
 
+def test_subgoals_as_the_two_forks_count_them(evaluate: Any, agents: dict[str, Path]) -> None:
+    modes = ("geodesic", "euclidean", "euclidean-any-order")
+    rows = [documents(evaluate, agents["wrong-branch"], "--distance", mode)["main"]["rows"][0] for mode in modes]
+    for row in rows:
+        assert {key for key in row if row[key] != rows[0][key]} <= {"bsa", "csr", "bsa_all", "csr_all"}
+    in_order, any_order = (row["bsa_all"]["mean"] for row in rows[1:])
+    assert in_order <= any_order
+
+
 def test_one_step_budget_for_files_configurations_walker_and_evaluator(
     export: Path, split: str, made_dataset: Path
 ) -> None:
