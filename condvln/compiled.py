@@ -1,33 +1,29 @@
-"""The only module that uses numba: how kernels are compiled, cached and announced.
+"""How kernels are compiled and announced. With ``condvln.kernel_cache`` the only module that uses numba.
 
 Rules every kernel of this package follows:
 
 * strict IEEE arithmetic: no ``fastmath`` and no contraction, so that float32 results equal the C++ they follow;
-* a kernel calls only kernels of its own folder. numba's cache notices an edit of a kernel's own file, not of the files
-  it calls into; the cache folder is therefore keyed on the content of the kernel's whole folder;
 * kernels do no bounds checks, so the caller validates every index first.
 
-The cache is in the first of these folders that is writable: ``NUMBA_CACHE_DIR``, ``__pycache__`` beside the
-kernels, the user's cache folder. If none is, each process compiles the kernels again.
+Machine code is kept on disk, in ``NUMBA_CACHE_DIR`` if it is set, else in the user's cache folder, so that all
+checkouts and environments of a machine share it; ``__pycache__`` beside the kernels is the last resort.
 """
 
 from __future__ import annotations
 
-import hashlib
 import logging
-import os
-import shutil
 import sys
 import threading
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from types import FunctionType
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core import config as numba_config
 from numba.core import event as numba_event
+
+from condvln.kernel_cache import KernelCache
 
 __all__ = ["compilation_reported_to", "compiled", "register_warm_up", "warm_up"]
 
@@ -35,8 +31,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Notify = Callable[[str], None]
 
-# Each edit of a kernel leaves an old cache behind; this many old caches are kept beside the current one.
-CACHE_VERSIONS_KEPT = 2
+_OPTIONS: Final = {"cache": False, "fastmath": False, "error_model": "numpy", "nogil": True}
+"""Options of ``numba.njit``; ``condvln.kernel_cache`` stands for its cache."""
 
 _logger = logging.getLogger(__name__)
 _warm_ups: dict[str, Callable[[], object]] = {}
@@ -47,13 +43,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     The function's type is kept, so that mypy checks the callers.
     """
-    folder = Path(function.__code__.co_filename).resolve().parent
-    package = function.__module__.rpartition(".")[0] or folder.name
-    with _numba_cache_in(_cache_folder(folder, package)):
-        try:
-            dispatcher = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
-        except RuntimeError:  # numba found no writable folder
-            dispatcher = numba.njit(cache=False, fastmath=False, error_model="numpy", nogil=True)(function)
+    dispatcher = numba.njit(**_OPTIONS)(function)
+    dispatcher._cache = KernelCache(cast("FunctionType", function), sorted(_OPTIONS.items()), _not_stored)
     return cast("Callable[P, R]", dispatcher)
 
 
@@ -125,55 +116,11 @@ def _report_to_stderr(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-@contextmanager
-def _numba_cache_in(folder: Path | None) -> Iterator[None]:
-    before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(folder) if folder is not None else ""
-    try:
-        yield
-    finally:
-        numba_config.CACHE_DIR = before
-
-
 @cache
-def _cache_folder(kernels: Path, package: str) -> Path | None:
-    """Return the cache folder of the kernels in folder ``kernels``, or None if no folder is writable. The cache
-    folder's name depends on the content of the kernels.
-    """
-    digest = hashlib.sha256()
-    for file in sorted(kernels.glob("*.py")):
-        with suppress(OSError):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    name = f"{package}-{digest.hexdigest()[:12]}"
-    for base in _cache_bases(kernels):
-        folder = base / name
-        with suppress(OSError):
-            created = not folder.is_dir()
-            folder.mkdir(parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK | os.X_OK):
-                if created:
-                    _forget_old_versions(folder, package)
-                return folder
+def _not_stored() -> None:
     _logger.warning(
         "no writable folder for compiled kernels: each process will compile them again; set NUMBA_CACHE_DIR"
     )
-    return None
-
-
-def _cache_bases(kernels: Path) -> Iterator[Path]:
-    if numba_config.CACHE_DIR:
-        yield Path(numba_config.CACHE_DIR)
-    yield kernels / "__pycache__"
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    yield Path(home) / "condvln" / "kernels"
-
-
-def _forget_old_versions(current: Path, package: str) -> None:
-    others = [folder for folder in current.parent.glob(f"{package}-????????????") if folder != current]
-    with suppress(OSError):
-        others.sort(key=lambda folder: folder.stat().st_mtime, reverse=True)
-        for folder in others[CACHE_VERSIONS_KEPT:]:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 _announcer = _Announcer()

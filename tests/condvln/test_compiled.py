@@ -23,6 +23,18 @@ from condvln.compiled import compiled
 def double(x):
     return 2 * x
 """
+TELLING = (
+    SOURCE
+    + """
+from numba.core import event
+class Listener(event.Listener):
+    def on_start(self, event):
+        print("compiling")
+    def on_end(self, event):
+        pass
+event.register("numba:compile", Listener())
+"""
+)
 
 
 @pytest.fixture
@@ -43,30 +55,33 @@ def run(kernels: Path, home: Path, **environment: str) -> subprocess.CompletedPr
 
 
 def cached(folder: Path) -> list[Path]:
-    """Index files of numba's cache below a folder; rewritten only when a kernel compiles."""
-    return sorted(folder.rglob("*.nbi"))
+    """Files of the cache below a folder; one is written when a kernel compiles."""
+    return sorted(folder.rglob("*.nbc"))
 
 
-def test_the_named_folder_comes_first_and_is_used_again(kernels: Path, tmp_path: Path) -> None:
-    first = run(kernels, tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert first.stdout == "42\n"
-    (index,) = cached(tmp_path / "cache")
-    assert not cached(kernels)
-    written = index.stat().st_mtime_ns
-    again = run(kernels, tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert again.stdout == "42\n"
-    assert index.stat().st_mtime_ns == written
+def test_the_named_folder_is_the_only_one_and_is_used_again(kernels: Path, tmp_path: Path) -> None:
+    for _ in range(2):
+        done = run(kernels, tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+        assert done.stdout == "42\n"
+        assert len(cached(tmp_path)) == len(cached(tmp_path / "cache")) == 1
 
 
-def test_without_one_the_cache_lies_beside_the_kernels(kernels: Path, tmp_path: Path) -> None:
+def test_a_copy_elsewhere_with_other_times_and_comments_compiles_nothing(kernels: Path, tmp_path: Path) -> None:
+    """Another checkout or environment of the same user; the first run alone says that it compiles."""
+    (kernels / "kernel.py").write_text(TELLING)
+    assert "compiling" in run(kernels, tmp_path / "home").stdout
+    copy = tmp_path / "other" / "kernels"
+    copy.mkdir(parents=True)
+    said = TELLING.replace("return", '"""Twice x."""\n    # by two\n    return')
+    (copy / "kernel.py").write_text(f"\n\n{said}")
+    assert run(copy, tmp_path / "home").stdout == "42\n"
+    assert len(cached(tmp_path / "home" / ".cache" / "condvln")) == len(cached(tmp_path)) == 1
+
+
+def test_where_the_home_cannot_be_written_the_cache_lies_beside_the_kernels(kernels: Path, tmp_path: Path) -> None:
+    (tmp_path / "home").write_text("a file where the folder would be")
     run(kernels, tmp_path / "home")
     assert len(cached(kernels / "__pycache__")) == 1
-
-
-def test_where_nothing_beside_can_be_written_the_user_has_one(kernels: Path, tmp_path: Path) -> None:
-    (kernels / "__pycache__").write_text("a file where the folder would be")
-    run(kernels, tmp_path / "home")
-    assert len(cached(tmp_path / "home" / ".cache" / "condvln")) == 1
 
 
 def test_with_nowhere_to_write_kernels_still_run(kernels: Path, tmp_path: Path) -> None:
@@ -77,14 +92,59 @@ def test_with_nowhere_to_write_kernels_still_run(kernels: Path, tmp_path: Path) 
     assert not cached(tmp_path)
 
 
-def test_an_edit_of_any_kernel_of_the_folder_makes_a_new_cache(kernels: Path, tmp_path: Path) -> None:
-    """numba itself would not notice that a kernel's callee, in another file, has changed."""
-    cache = tmp_path / "cache"
-    for number in range(4):
-        (kernels / "other.py").write_text(f"CHANGED = {number}\n")
-        assert run(kernels, tmp_path / "home", NUMBA_CACHE_DIR=str(cache)).stdout == "42\n"
-    # The current version and two before it are kept.
-    assert len(cached(cache)) == 3
+CALLER = """
+from condvln.compiled import compiled
+from far.away import CONSTANT, Pair, callee
+@compiled
+def summed(pair):
+    return pair.one + callee(pair.other) * CONSTANT
+def double(x):
+    return summed(Pair(x, x))
+"""
+CALLEE = """
+from typing import NamedTuple
+from condvln.compiled import compiled
+CONSTANT = 1
+class Pair(NamedTuple):
+    one: int
+    other: int
+@compiled
+def callee(x):
+    return deeper(x)
+@compiled
+def deeper(x):
+    return x
+"""
+EDITS = {
+    "return x\n": ("return x + 1\n", 43),
+    "CONSTANT = 1": ("CONSTANT = 2", 63),
+    "one: int\n    other: int": ("other: int\n    one: int", 42),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_a_change_in_another_folder_is_noticed(kernels: Path, tmp_path: Path, edit: str) -> None:
+    """Of what a callee's callee does, of a constant, and of the order of a tuple's fields."""
+    (kernels / "far").mkdir()
+    (kernels / "kernel.py").write_text(CALLER)
+    callee = kernels / "far" / "away.py"
+    callee.write_text(CALLEE)
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run(kernels, tmp_path / "home", **environment).stdout == "42\n"
+    before = len(cached(tmp_path))
+    callee.write_text(CALLEE.replace(edit, EDITS[edit][0]))
+    assert run(kernels, tmp_path / "home", **environment).stdout == f"{EDITS[edit][1]}\n"
+    assert len(cached(tmp_path)) > before
+
+
+def test_a_damaged_file_is_written_again(kernels: Path, tmp_path: Path) -> None:
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    run(kernels, tmp_path / "home", **environment)
+    (file,) = cached(tmp_path)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-100] + bytes(100))
+    assert run(kernels, tmp_path / "home", **environment).stdout == "42\n"
+    assert file.read_bytes() != whole[:-100] + bytes(100)
 
 
 def test_progress_is_told_while_kernels_compile(tmp_path: Path) -> None:
