@@ -28,10 +28,10 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import config as numba_config
-from numba.core import types
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
+from numba.core.types.containers import BaseNamedTuple, BaseTuple
 
 __all__ = ["KernelCache", "cache_folders", "kernel_digest"]
 
@@ -201,11 +201,11 @@ def _own_file(module: ModuleType) -> str:
 
 def _described(signature: Any) -> object:
     """Return the types of arguments as text, named tuples with their class and fields."""
-    if isinstance(signature, types.BaseNamedTuple):
+    if isinstance(signature, BaseNamedTuple):
         owner = signature.instance_class
         inner = [_described(one) for one in signature]
         return owner.__module__, owner.__qualname__, signature.fields, inner
-    if isinstance(signature, tuple | types.BaseTuple):
+    if isinstance(signature, tuple | BaseTuple):
         return [_described(one) for one in signature]
     return str(signature)
 
