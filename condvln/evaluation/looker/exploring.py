@@ -58,9 +58,13 @@ class Explorer:
         target = self.unseen(move, here)
         return self.unseen(move, here, self._close / 2) if target is None else target
 
-    def unseen(self, phrase: Phrase, here: Here, close: float | None = None) -> F64 | None:
+    def unseen(
+        self, phrase: Phrase, here: Here, close: float | None = None, around: tuple[F64, float] | None = None
+    ) -> F64 | None:
         """Return a position from which the agent may see something new in the rooms that `phrase` may mean; None if
         everything in these rooms has been seen from at most `close` metres away.
+
+        around : a position (2,) and a radius, metres; only floor within that radius must have been seen
         """
         ground, ways = here.ground, here.ways
         rooms = self._referents.rooms(phrase)
@@ -68,13 +72,17 @@ class Explorer:
         open_to = np.ones_like(targets)
         for place in self._given_up:
             a, b = ground.cell(float(place[0]), float(place[1]))
-            around = slice(max(a - AROUND, 0), a + AROUND + 1), slice(max(b - AROUND, 0), b + AROUND + 1)
-            targets[around] = open_to[around] = False
+            beside = slice(max(a - AROUND, 0), a + AROUND + 1), slice(max(b - AROUND, 0), b + AROUND + 1)
+            targets[beside] = open_to[beside] = False
+        if around is not None:
+            rows, columns = np.nonzero(targets)
+            far = np.hypot(*(ground.places(rows, columns) - around[0]).T) > around[1]
+            targets[rows[far], columns[far]] = False
         if rooms is None:
             return self._nearest(here, targets)
         inside = np.isin(ground.region, list(rooms))
         found = self._nearest(here, targets & inside)
-        if found is not None or (rooms & self.been and self._referents.room_is_sure(phrase)):
+        if found is not None or around is not None or (rooms & self.been and self._referents.room_is_sure(phrase)):
             return found
         entrance = self._nearest(here, inside & ground.passable & open_to)
         if entrance is not None and not rooms & self.been:

@@ -5,7 +5,7 @@ leaf.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -14,7 +14,7 @@ from condvln.evaluation.looker.approach import Approach, approach
 from condvln.evaluation.looker.exploring import Explorer, Here
 from condvln.evaluation.looker.eyes import Look
 from condvln.evaluation.looker.floor_map import F64, FloorMap, Ground, Ways
-from condvln.evaluation.looker.judging import Compared, ranked
+from condvln.evaluation.looker.judging import Compared, gap, ranked
 from condvln.evaluation.looker.memory import Memory, Thing
 from condvln.evaluation.looker.referents import Referents
 from condvln.evaluation.looker.steering import ARRIVED, Steering
@@ -38,6 +38,9 @@ BESIDE: Final = 4.0
 """Distance in metres at which views count as near an object."""
 TRIES: Final = 4
 """Largest number of places to stop at that it can't reach before it stops where it is."""
+
+MARGIN: Final = 0.5
+"""Length in metres by which it looks farther for a closer object than the closest known one is from the anchor."""
 
 
 def read_text(text: str) -> Reading:
@@ -249,8 +252,9 @@ class Looker:
         predicate, labels = move.qualifier
         anchors = () if predicate in (*BEARINGS, "bigger", "smaller") else self._referents.anchors(labels, rooms)
         if predicate in Compared:
-            wanted = 2 if predicate != "closest to" else len(things) + 1
-            if len(things) < wanted or anchors is None or not all(self._referents.is_close(thing) for thing in things):
+            if predicate == "closest to" and things and anchors:
+                target = self._closer(move, things, anchors)
+            elif len(things) < 2 or anchors is None or not all(self._referents.is_close(thing) for thing in things):
                 target = self._explorer.sought(move, self._here())
             if target is None and things:
                 return ranked(predicate, things, anchors)[0] if anchors is not None else things[0], None
@@ -266,6 +270,16 @@ class Looker:
         if target is not None:
             return None, target
         return best or (things[0] if things else self._fallback(move, None)), None
+
+    def _closer(self, move: Phrase, things: Sequence[Thing], anchors: Sequence[Thing]) -> F64 | None:
+        """Return a position from which the agent may see an object that is closer to the anchor than all known ones;
+        None if the floor as far as the closest one was seen.
+        """
+        least = gap(ranked("closest to", things, anchors)[0], anchors[0])
+        flat = np.concatenate([anchor.points[:, [0, 2]] for anchor in anchors])
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        radius = least + float(np.hypot(*(high - low))) / 2 + MARGIN
+        return self._explorer.unseen(move, self._here(), around=((low + high) / 2, radius))
 
     def _fallback(self, move: Phrase, target: F64 | None) -> Thing | None:
         """Return a known object with the label of `move` in any room, if nothing is left to explore (`target` is None);

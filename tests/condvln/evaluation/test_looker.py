@@ -15,14 +15,17 @@ from condvln.evaluation.export_folder import Export
 from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
 from condvln.evaluation.looker import LookingAgent, read_text
 from condvln.evaluation.looker.approach import approach
+from condvln.evaluation.looker.exploring import Explorer, Here
 from condvln.evaluation.looker.eyes import GHOST, Eyes
 from condvln.evaluation.looker.floor_map import HALF, Ground
 from condvln.evaluation.looker.judging import holds
-from condvln.evaluation.looker.memory import GRAIN, Thing
+from condvln.evaluation.looker.memory import GRAIN, Memory, Thing
+from condvln.evaluation.looker.referents import Referents
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.score import score
 from condvln.instructions import reading_of
 from condvln.instructions.rendering import heading_name
+from condvln.instructions.text_reading import Phrase
 from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays, SceneObject
 from jobs.command import app
@@ -253,6 +256,22 @@ def test_it_looks_at_the_unseen_side_of_a_bed_before_it_stops() -> None:
     other = approach(thing, seen, seen.ways_from(*here), here, given_up=[found.place])
     assert other is not None
     assert np.hypot(*(other.place - found.place)) > 0.3
+
+
+def test_only_floor_around_the_anchor_is_explored_for_a_closer_thing() -> None:
+    ground = floor_with_a_bed(unseen_left=False)
+    rows, columns = np.nonzero(ground.passable)
+    left = ground.places(rows, columns)[:, 0] < -1.0
+    ground.near[rows[left], columns[left]] = 5.0  # seen from too far away
+    pose = np.array([1.5, 1.5])
+    here = Here(pose, 0.0, ground, ground.ways_from(1.5, 1.5))
+    explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
+    painting = Phrase("painting")
+    for around, found in ((None, True), ((np.array([-1.5, 1.5]), 1.0), True), ((np.array([1.5, 1.5]), 1.0), False)):
+        place = explorer.unseen(painting, here, around=around)
+        assert (place is not None) == found
+        if place is not None:
+            assert place[0] < -1.0
 
 
 def test_the_command_walks_it_with_errors_and_refuses_what_it_cannot_read(
