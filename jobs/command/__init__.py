@@ -35,6 +35,7 @@ app = typer.Typer(
 
 app.command(epilog=EXIT_CODES)(build_verbs.demo)
 app.command()(build_verbs.samples)
+app.command()(build_verbs.warm_up)
 app.command()(query_verbs.sources)
 app.command()(build_verbs.plan)
 app.command(epilog=EXIT_CODES)(build_verbs.generate)

@@ -10,7 +10,7 @@ import typer
 from jobs.command.answers import answer, console, leave
 from jobs.command.options import AsJson, ConfigPath, Inline, Overrides, RenewPriors, RetryQuarantined
 
-__all__ = ["demo", "generate", "plan", "rebuild", "samples"]
+__all__ = ["demo", "generate", "plan", "rebuild", "samples", "warm_up"]
 
 
 def demo(
@@ -111,3 +111,10 @@ def rebuild(
     )
     answer(report, as_json)
     leave(report.exit_code)
+
+
+def warm_up(as_json: AsJson = False) -> None:
+    """Compile all kernels now, on all cores. Later starts of any checkout on this machine load them from a cache."""
+    from jobs.warm_up import compile_kernels
+
+    answer(compile_kernels(lambda line: console().print(line, highlight=False)), as_json)

@@ -1,0 +1,55 @@
+"""``condvln warm-up``: compile all kernels now, side by side, so that no later start waits for them."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Final
+
+from jobs.report import Report, Section
+
+__all__ = ["KERNEL_MODULES", "compile_kernels"]
+
+KERNEL_MODULES: Final = {
+    "navmesh builder": "condvln.navigation.recast.builder",
+    "follower": "condvln.navigation.follower",
+    "paths": "condvln.navigation.pathfinder",
+    "cameras": "condvln.sensors.renderer",
+    "alignment": "condvln.evaluation.kernels.alignment",
+    "an agent's map": "condvln.evaluation.kernels.floor_grid",
+    "line of sight among boxes": "condvln.navigation.occluders",
+    "ways of episodes": "condvln.episodes.routes",
+    "json scan": "condvln.formats.json_scan",
+}
+"""The groups of kernels and the module that registers each; those that take longest come first."""
+
+
+def compile_kernels(note: Callable[[str], None], groups: Sequence[str] = tuple(KERNEL_MODULES)) -> Report:
+    """Compile the kernels of `groups` that the cache does not hold, in as many processes as there are cores.
+
+    note : gets one line when a group is ready
+    """
+    found: dict[str, int] = {}
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(cores, len(groups)), mp_context=context) as pool:
+        tasks = {pool.submit(_compile, group): group for group in groups}
+        for task in as_completed(tasks):
+            found[tasks[task]] = task.result()
+            note(f"kernels {len(found)}/{len(groups)}: {tasks[task]}, {found[tasks[task]]} compiled")
+    rows: list[tuple[str | int, ...]] = [(group, found[group]) for group in groups]
+    lines = [f"{sum(found.values())} kernels compiled; the others were in the cache"]
+    return Report({"compiled": found}, lines, [Section("Kernels", ("group", "compiled"), [*rows])])
+
+
+def _compile(group: str) -> int:
+    """Compile one group in this process. Returns the number of kernels that were not in the cache."""
+    from condvln.compiled import warm_up
+
+    importlib.import_module(KERNEL_MODULES[group])
+    lines: list[str] = []
+    warm_up(lines.append, only={group})
+    return sum(line.startswith("compiling ") for line in lines)
