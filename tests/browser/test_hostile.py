@@ -65,7 +65,11 @@ def made_hostile(out: Path) -> list[dict[str, Any]]:
              "examples": [dict.fromkeys(("scene", "cell", "example"), text)]}
             for text in HOSTILE
         ],
-        "gate": None, "left_out": dict.fromkeys(HOSTILE, 1), "drift": None,
+        "gate": None, "left_out": dict.fromkeys(HOSTILE, 1),
+        "drift": {
+            "before": HOSTILE[0], "by": "split", "kept": 1, "gone": 1, "new": 1, "reworded": 1,
+            "cells": [[text, text, 1, 2] for text in HOSTILE], "scenes": [[text, text, 1, 2] for text in HOSTILE],
+        },
     }  # fmt: skip
     table = {
         "name": HOSTILE[0],
@@ -73,6 +77,8 @@ def made_hostile(out: Path) -> list[dict[str, Any]]:
         "note": HOSTILE[2],
         "split": "s",
         "rows": [{HOSTILE[0]: HOSTILE[3]}],
+        "headings": [HOSTILE[0]],
+        "cells": [[text] for text in HOSTILE],
     }
     site.finish(HOSTILE[0], snapshot=HOSTILE[1], statistics=statistics, agents=agents, tables=[table])
     return rows
