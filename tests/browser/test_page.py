@@ -237,6 +237,17 @@ def test_keys_and_links_lead_through_a_list(page: Page, made: Run) -> None:
     assert page.texts(".episodes .id") == listed
 
 
+def test_a_link_leads_to_the_top_of_a_view(page: Page, made: Run) -> None:
+    page.size(390)
+    page.open("#/browse")
+    before = page.run("window.scrollTo(0, 99999); return window.scrollY")
+    assert before > 0
+    page.run("[...document.querySelectorAll('.episodes a')].pop().click()")
+    shown = "document.title.includes(location.hash.split('/')[2].split('?')[0])"
+    page.until(f"return location.hash.startsWith('#/episode') && {shown}")
+    assert page.run("return window.scrollY") == 0
+
+
 def test_a_group_is_shown_side_by_side(page: Page, made: Run) -> None:
     groups = "select group_id, count(*) from episodes where group_id is not null group by 1 order by 1"
     group, wanted = made.ask(groups)[0]

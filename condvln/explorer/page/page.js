@@ -7,6 +7,8 @@
   const KEYS = [["→ or n", "next episode of the list"], ["← or p", "previous episode"], ["/", "search in texts"], ["Esc", "back to the list"],
     ["Tab, Enter", "go to a clause, a condition or a leaf, and keep it marked"]];
   let turn = 0;
+  let linked = false; // a link was followed, not the browser's own back and forward, which keep their place
+  let last = "";
 
   function address() {
     const [path, query] = location.hash.replace(/^#\/?/, "").split("?");
@@ -42,6 +44,9 @@
       fresh.replaceChildren(element("h1", {}, "Nothing to show"), element("p", { role: "alert" }, error.message));
     }
     if (own !== turn) return;
+    if (linked && view !== last) window.scrollTo(0, 0);
+    linked = false;
+    last = view;
     document.title = explorer.shown(`${title} · ${explorer.index.title}`);
     document.body.dataset.ready = String(own);
     performance.mark("shown");
@@ -73,6 +78,7 @@
     }
     document.getElementById("title").textContent = explorer.shown(explorer.index.title);
     window.addEventListener("hashchange", show);
+    document.addEventListener("click", (event) => { linked = event.target.closest("a[href^='#']") !== null; });
     document.addEventListener("keydown", key);
     await show();
   }
