@@ -41,7 +41,7 @@ def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path)
         scene = scene_from_tables(own, Path(), family=source)
         data = navmeshes(source, own["scenes"].to_pylist()[0])
         tile = None if data is None else parse_navmesh(data, scene_id).tile
-        drawn = plan_picture(plan_document(scene, tile), episode_document(row))
+        drawn = plan_picture(plan_document(scene, tile), episode_document(row, parsed=False))
         caption = f"{source}, scene {scene_id}, episode {row['episode_id']}: “{row['instruction_text']}”"
         yield CardPicture(f"{FOLDER}/{source}.svg", caption, drawn)
 

@@ -21,7 +21,9 @@ UNPUBLISHED: Final = "not exported"
 """Split of an episode that is in the snapshot and in no split of the export."""
 
 
-def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None) -> Document:
+def episode_document(
+    row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None, parsed: bool = True
+) -> Document:
     """Return an episode's document.
 
     Parameters
@@ -29,6 +31,7 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
     row : a row of a manifest, as `condvln.manifest.manifest_row` makes it or as JSON; points are lists or have x, y, z
     facts : relations of its scene; without them the page shows no measures
     certificate : its line of ``certificates/<split>.jsonl``
+    parsed : whether the text's clauses are wanted; pictures have none, and building the parser takes seconds
     """
     program = Program.model_validate(row["program"])
     start = _point(row["start_position"])
@@ -52,7 +55,7 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
         "moves": row["moves"],
         "words": row["words"],
         "text": row["instruction_text"],
-        "clauses": clauses(row["instruction_text"], program),
+        "clauses": clauses(row["instruction_text"], program) if parsed else [],
         "program": program.model_dump(mode="json"),
         "route": list(program.route()[0]),
         "gold": row["gold_leaf"],
