@@ -1,4 +1,5 @@
-"""How kernels are compiled and announced. With ``condvln.kernel_cache`` the only module that uses numba.
+"""How kernels are compiled, and how their compilation is announced. Only this module and ``condvln.kernel_cache`` use
+numba.
 
 Rules every kernel of this package follows:
 

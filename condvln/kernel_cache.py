@@ -66,7 +66,7 @@ class KernelCache:
 
     @property
     def cache_path(self) -> str:
-        """The first folder that is tried."""
+        """The path of the first folder in which the compiled kernel is looked for."""
         return str(next(cache_folders(self._kernel)))
 
     def load_overload(self, signature: Any, context: Any) -> Any:
@@ -129,7 +129,9 @@ class KernelCache:
 
 
 def kernel_digest(kernel: FunctionType) -> str:
-    """Return a digest of all that the machine code of a kernel follows from, but the types of its arguments."""
+    """Return a digest of everything that determines a kernel's machine code, except the types of the kernel's
+    arguments.
+    """
     found: dict[FunctionType, str] = {}
     ahead = [kernel]
     while ahead:
@@ -142,7 +144,9 @@ def kernel_digest(kernel: FunctionType) -> str:
 
 @cache
 def _content(function: FunctionType) -> tuple[str, tuple[FunctionType, ...]]:
-    """Return a digest of one function, in which the kernels that it calls have their names only; and these kernels."""
+    """Return the digest of one function, and the kernels that the function calls. In the digest, these kernels count by
+    name only, not by content.
+    """
     code = function.__code__
     names = {name: function.__globals__[name] for name in _names(code) if name in function.__globals__}
     cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
@@ -161,7 +165,9 @@ def _name_of(function: FunctionType) -> tuple[str, str]:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Return the global and attribute names in a function and in those defined within it."""
+    """Return the names of globals and attributes that a function uses, and those that the functions defined within it
+    use.
+    """
     inner = (const for const in code.co_consts if isinstance(const, CodeType))
     return set(code.co_names).union(*map(_names, inner))
 
@@ -175,7 +181,7 @@ def _code(code: CodeType, doc: str | None = None) -> object:
 
 
 def _value(value: object) -> object:
-    """Return the content of a value that a kernel uses, as a text that is the same in each process."""
+    """Return the content of a value that a kernel uses, as plain data whose ``repr`` is the same in each process."""
     if isinstance(value, Dispatcher):
         return "kernel", _name_of(value.py_func)
     if isinstance(value, np.ndarray | np.generic):
@@ -194,13 +200,17 @@ def _value(value: object) -> object:
 
 
 def _own_file(module: ModuleType) -> str:
-    """Return the content of a module of this package, from which a kernel may read constants."""
+    """Return the source text of a module of this package, since a kernel may read constants from the module; empty for
+    any other module.
+    """
     file = module.__file__
     return Path(file).read_text() if file is not None and module.__name__.split(".")[0] == "condvln" else ""
 
 
 def _described(signature: Any) -> object:
-    """Return the types of arguments as text, named tuples with their class and fields."""
+    """Return the types of arguments as texts, nested as in `signature`; a named tuple also has its class and its
+    fields.
+    """
     if isinstance(signature, BaseNamedTuple):
         owner = signature.instance_class
         inner = [_described(one) for one in signature]

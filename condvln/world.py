@@ -221,7 +221,7 @@ class World:
         return self._published(pool, drawn.candidates, episodes, text, instructions.wording, seed)
 
     def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
-        """Write a PNG of an episode and return its path. The picture has the plan from above, what the conditions ask
+        """Write a PNG of an episode and return its path. The picture shows the plan from above, what the conditions ask
         about, the path to every leaf, the first view and a legend.
         """
         tile = self.pathfinder.navmesh.tile

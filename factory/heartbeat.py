@@ -36,7 +36,7 @@ class Busy:
 
 def busy_message(busy: Busy, deadline: float | None = None) -> str:
     """Format one line about a unit that takes long. If the unit runs in this process and is past its deadline, the line
-    adds that it is in compiled code, which no signal interrupts.
+    adds that the unit is in compiled code, which no signal interrupts.
     """
     line = f"{busy.unit_id}: at stage {busy.stage} for {busy.seconds:.0f} s"
     if deadline is not None and busy.seconds > deadline and not busy.endable:

@@ -175,7 +175,7 @@ class Index:
 
     @classmethod
     def empty(cls, pipeline: Pipeline, *, damaged: bool = False) -> Index:
-        """An empty index."""
+        """Return an empty index."""
         return cls(index_schema(pipeline).empty_table(), damaged=damaged)
 
     @staticmethod
@@ -214,7 +214,7 @@ class Index:
         return int(self.table.num_rows)
 
     def rows_of(self, unit_ids: Sequence[str]) -> Any:
-        """Return the (n,) int64 row of each unit id; -1 for ids that are not in the index."""
+        """Return the row number of each unit id, as (n,) int64; -1 for ids that are not in the index."""
         if not len(self):
             return np.full(len(unit_ids), -1, np.int64)
         wanted = id_hashes(unit_ids)

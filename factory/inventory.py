@@ -56,8 +56,8 @@ class Inventory:
 
 
 def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_]:
-    """Return, as (rows,) bool, whether files that the stage made for the unit in each row of ``table`` are missing or
-    truncated.
+    """Return for each row of ``table``, as (rows,) bool, whether any file that the stage made for the row's unit is
+    missing or truncated.
     """
     column = table.column(f"{stage}.key").combine_chunks()
     column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column

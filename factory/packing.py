@@ -50,7 +50,7 @@ _BATCH: Final = 8192
 
 @dataclass(frozen=True, slots=True)
 class PackJob:
-    """One file of a published table to write, and the rows that belong in it.
+    """A file of a published table that is to be written, and the rows that belong in the file.
 
     members : columns unit_id, stage, key, hash, bytes; one row for each unit and stage with rows in it, by unit id
     """
@@ -79,8 +79,8 @@ class Packed:
 
 
 def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]]:
-    """Yield (bucket, its members) for the ``members`` of one table and partition. If there are no rows at all, yield
-    one empty bucket.
+    """Divide the ``members`` of one table and partition into buckets; yield (number, members) of each bucket that is
+    not empty. If there are no rows at all, yield one empty bucket.
     """
     count = bucket_count(members, part_bytes)
     if count == 1:

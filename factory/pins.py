@@ -97,8 +97,8 @@ class Pins:
         return found
 
     def restore(self) -> list[str]:
-        """Write missing or damaged files of pins and their tables again where their content is known; return the paths
-        of these files.
+        """Write the pin file and the tables of pinned aggregates again if they are missing or damaged and their content
+        is known; return the paths of the written files.
         """
         written = []
         for path in self.damaged:
@@ -211,8 +211,8 @@ def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
 def _tables(
     aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]
 ) -> Iterator[tuple[str, Mapping[str, pa.Table]]]:
-    """For each unit that has passed the stage ``aggregate.after`` without skipping it, yield its id and the tables that
-    ``aggregate`` reads. Each table is loaded on demand.
+    """Yield (unit id, tables that ``aggregate`` reads) for each unit for which the stage ``aggregate.after`` is done
+    and was not skipped. Each table is loaded when it is first read.
     """
     for receipt in receipts:
         stage = next((s for s in receipt.stages if s.stage == aggregate.after and not s.skipped), None)

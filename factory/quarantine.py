@@ -1,4 +1,6 @@
-"""Quarantine as a worker uses it: classify an error, store its record, and shorten it for a receipt."""
+"""Quarantine as a worker uses it: classify an error, store a record of the failure, and shorten the record for a
+receipt.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +84,7 @@ class Quarantine:
         )
 
     def refuse(self, unit: Unit, fault: Exception) -> Failure:
-        """Put a unit that could not be listed into quarantine."""
+        """Quarantine a unit that could not be listed, and return the short form of the record."""
         name = type(fault).__name__
         key = digest([unit.unit_id, name, str(fault)])[:32]
         trace = "".join(traceback.format_exception(fault))

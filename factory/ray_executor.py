@@ -34,7 +34,7 @@ SINGLE_THREADED: Final = dict.fromkeys(
 
 
 class RayExecutor:
-    """Runs on the CPUs of this machine, or on a cluster.
+    """Runs tasks with Ray, on the CPUs of this machine or on a cluster.
 
     workers : tasks that work at once. Here, Ray is started with as many CPUs (all of the machine by default); on a
         cluster that is joined, at most as many tasks are in flight (as the cluster has room for by default)
@@ -162,8 +162,8 @@ class RayExecutor:
 
 @contextlib.contextmanager
 def _own_signals() -> Iterator[None]:
-    """Context that keeps this process's handler of SIGTERM. Ray replaces the handler with one that would end the
-    process at once.
+    """Context in which Ray is started. At the end, this process gets its own handler of SIGTERM back; Ray replaces the
+    handler with one that would end the process at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -34,7 +34,7 @@ class RayNode:
         self.logs = _logs()
 
     def check(self) -> None:
-        """Raise ``ClusterError`` when Ray can't go on. Costs microseconds where Ray was started here."""
+        """Raise ``ClusterError`` when Ray can't go on. The check takes microseconds if Ray was started here."""
         for name, poll in self._processes.items():
             code = poll()
             if code is not None:
@@ -71,7 +71,7 @@ def answered(logs: str = "") -> Iterator[None]:
 
 
 def lost(what: str, logs: str = "") -> ClusterError:
-    """Return the error that says that Ray has died."""
+    """Return the error that reports that Ray has died; ``what`` tells how this was noticed."""
     return ClusterError(f"Ray died while units were under way: {what}", remedy=ADVICE.format(logs=logs or "its logs"))
 
 

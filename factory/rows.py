@@ -105,7 +105,9 @@ def _empty(kind: pa.DataType) -> Any:
 
 
 def _type_name(kind: pa.DataType) -> str:
-    """Return a name for the type that is the same in every version of pyarrow and for every encoding of the values."""
+    """Return the name of a column type. The name does not depend on the version of pyarrow, nor on how the values are
+    encoded.
+    """
     if pa.types.is_dictionary(kind) or pa.types.is_run_end_encoded(kind):
         return _type_name(kind.value_type)
     if isinstance(kind, pa.BaseExtensionType):

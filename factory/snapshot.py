@@ -314,8 +314,8 @@ class Snapshot:
         return found
 
     def unit_table(self, unit_id: str, pipeline: Pipeline, name: str) -> pa.Table:
-        """Read a table that a stage of a unit keeps but the snapshot does not publish; no rows if the stage did not
-        write it.
+        """Read a table that a stage of a unit keeps but the snapshot does not publish. The result has no rows if the
+        stage did not run.
 
         Raises ``UsageError`` on an unknown unit, ``CorruptShardError`` where the table is damaged or was swept away.
         """

@@ -72,7 +72,7 @@ class Store(Protocol):
         ...
 
     def copy(self, source: str, target: str) -> None:
-        """Make ``target`` a copy of the immutable file ``source``, if possible without reading the file."""
+        """Copy the immutable file ``source`` to the path ``target``, if possible without reading the file."""
         ...
 
     def list(self, prefix: str) -> Iterator[Entry]:

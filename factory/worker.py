@@ -166,7 +166,7 @@ class Worker:
         reason: str = "",
         failure: Failure | None = None,
     ) -> Receipt:
-        """Return what was done for a unit, and how it ended."""
+        """Return the receipt of a unit: what was done for the unit, and how the work ended."""
         return Receipt(
             unit_id=unit.unit_id,
             partition=unit.partition,
@@ -277,7 +277,8 @@ class Worker:
     def blame(
         self, work: Work, until: int, cause: Cause, exception: str, message: str, attempts: int, peak_rss: int = 0
     ) -> Receipt:
-        """Quarantine a unit that killed its workers, at the first stage that is not committed.
+        """Quarantine a unit that killed its workers. The record names the first stage of the unit that is not
+        committed.
 
         peak_rss : bytes that its worker held when it was ended, where that is known
 

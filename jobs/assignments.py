@@ -67,7 +67,8 @@ def yaml_value(text: str, origin: str) -> Any:
 
 
 def put(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> None:
-    """Set the value at a path of keys, in place; sections that are missing are made. Entries of lists count from 0.
+    """Set the value at the path `keys` in `data`, and make the sections of the path that are missing. Entries of lists
+    count from 0.
 
     Raises
     ------

@@ -29,8 +29,8 @@ SHOWN: Final = 5
 
 
 def compose(config: Config, scene_id: str, out: Path, *, own_navmesh: bool = False) -> Report:
-    """Write the scene to `out`; beside this file, with the suffix ``.navmesh``, write the scene's navmesh for the
-    configured agent.
+    """Write the scene to the GLB file `out`, and the scene's navmesh for the configured agent to a file beside `out`
+    with the suffix ``.navmesh``.
 
     Parameters
     ----------

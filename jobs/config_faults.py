@@ -77,8 +77,8 @@ def _faults(error: ValidationError, model: type[Section]) -> list[tuple[str, str
 
 
 def _is_echo(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether `fault` of a list or section only follows from faults inside it, as when a list is too short because its
-    entries are wrong. The faults inside are reported themselves.
+    """Whether `fault`, the fault of a whole list or section, only follows from faults of single entries or keys in this
+    list or section, as when a list is too short because its entries are wrong. Those faults are reported on their own.
     """
     own = fault["loc"]
     return any(other["loc"][: len(own)] == own for other in faults if len(other["loc"]) > len(own))

@@ -150,8 +150,8 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
 
 
 def _apart(store: Path | str, export: Path | None, roots: Sequence[Path], path: Path) -> None:
-    """Require that store and export lie outside of the datasets. Otherwise every rebuild would take files written there
-    for changes of a dataset.
+    """Require that the store and the export lie outside of the datasets' folders. Otherwise every rebuild would mistake
+    the files that a run writes for changes of a dataset.
     """
     written = [(key, folder) for key, folder in (("store", store), ("export", export)) if isinstance(folder, Path)]
     for k, (key, folder) in enumerate(written):

@@ -1,4 +1,4 @@
-"""Generate ``docs/configuration.md``: every key, from the models and from what the stages read.
+"""Generate ``docs/configuration.md``, which lists every configuration key and the stages that read the key.
 
 ``python -m jobs.configuration_page`` renews it.
 """
@@ -70,7 +70,9 @@ def keys(model: type[BaseModel] = Config, before: str = "") -> Iterator[Key]:
 
 
 def makes_stale(path: str) -> tuple[str, ...]:
-    """Return the stages and aggregates whose keys contain a configuration key, in the order of the pipeline."""
+    """Return the names of the stages and aggregates whose results a change of one configuration key makes stale. The
+    stages come first, in the order of the pipeline.
+    """
     if path in NO_STAGE:
         return ()
     parts = [part for part in path.split(".") if part != "N"]

@@ -35,7 +35,8 @@ FRACTIONS: Final = (0.5, 0.25, 0.25)
 
 
 def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console: Console) -> int:
-    """Make synthetic scenes, generate, export, show, prove, walk and evaluate. Returns the exit code.
+    """Make synthetic scenes; generate, export, show and prove episodes of these scenes; run the reference agents, and
+    evaluate them. Returns the exit code.
 
     scenes : over all families together
     workers : number of Ray workers; 0 = run in this process; None = one for each core
@@ -88,7 +89,9 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
 
 
 def _measure(config: Config, out: Path) -> EvaluationReport | None:
-    """Walk the reference agents on the largest split that is not for training, and evaluate them."""
+    """Run the reference agents on the largest split, and evaluate them. The training split is used only if the others
+    are empty. Returns None if all are empty.
+    """
     assert config.export is not None
     sizes = {
         split: sum(1 for _ in manifest_lines(manifest_path(config.export, split)))

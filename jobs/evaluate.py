@@ -196,7 +196,8 @@ def walk_split(
     datasets: Sequence[str] = (),
     looker: Sequence[str] = (),
 ) -> Report:
-    """Walk one agent on the episodes' own navmeshes, and write its predictions.
+    """Run one agent on the episodes of a split, each on the episode's own navmesh, and write the agent's predictions to
+    `out`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``condvln explore``: the page of a snapshot or an export, with what agents did on it."""
+"""``condvln explore``: the page of a snapshot or an export, with the results and walks of agents."""
 
 from __future__ import annotations
 
@@ -132,7 +132,9 @@ def _add(
 
 
 def _look(site: Site, scene: ExploredScene, documents: Sequence[Document], config: Config) -> None:
-    """Add pictures and places of first sight to the documents of some episodes."""
+    """Add pictures, and the places from which the conditions' evidence is first seen, to the documents of some
+    episodes.
+    """
     configured = next(one for one in config.sources if one.family == scene.scene.family)
     name = scene.scene.scene_id
     asked = configured.model_copy(update={"scenes": (name,), "exclude": ()})

@@ -61,7 +61,9 @@ def scored_splits(export: Path, predictions: Sequence[Path], roots: Sequence[Pat
 
 
 def asked_split(asked: Question, report: EvaluationReport) -> ScoredSplit:
-    """Return what an evaluation found, for the page: the same scores and tables, and the agents on the oracle twin."""
+    """Return the result of an evaluation in the form that the page shows: its scores and tables, and the agents' scores
+    on the split's oracle twin if that was evaluated.
+    """
     twins = zip(report.evaluations, report.twins, strict=True) if report.twins else ()
     return ScoredSplit(
         asked.split,
@@ -99,8 +101,8 @@ class ExploredAgents:
                 walks.update({one.episode_id: one for one in read_predictions(path, assume_stop=scored.assume_stop)})
 
     def walks_of(self, rows: Sequence[Mapping[str, Any]], folder: NavmeshFolder) -> dict[str, Document]:
-        """Return the walks of some episodes by episode id and agent; distances are straight where `folder` has no
-        navmesh.
+        """Return the agents' walks of the episodes `rows`, by episode id and agent. For an episode whose navmesh is not
+        in `folder`, distances are those along straight lines.
         """
         found: dict[str, Document] = {}
         for row in rows:

@@ -22,7 +22,7 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True)
 class EpisodeFacts:
-    """What is compared of an episode. `split` is empty in a snapshot, which has no splits."""
+    """The properties of an episode that are compared. `split` is empty in a snapshot, which has no splits."""
 
     split: str
     source: str
@@ -32,7 +32,7 @@ class EpisodeFacts:
 
     @classmethod
     def of(cls, row: Mapping[str, Any], split: str) -> EpisodeFacts:
-        """Return what is compared of a row of a manifest, or of the joined tables."""
+        """Return the compared properties of one episode; `row` comes from a manifest or a snapshot's joined tables."""
         text = hashlib.sha256(str(row.get("instruction_text")).encode()).digest()[:8]
         return cls(split, str(row.get("source")), str(row.get("scene_id")), str(row.get("category")), text)
 

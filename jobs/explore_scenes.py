@@ -56,7 +56,7 @@ class ExploredScene:
 
     @cached_property
     def facts(self) -> SceneFacts | None:
-        """Return the scene's relations, to be looked up by pairs of objects; None where the relations are not known."""
+        """Return a look-up of the scene's relations by pairs of objects; None where the relations are not known."""
         return None if self.relations is None else SceneFacts(self.scene, self.relations, self.thresholds)
 
 

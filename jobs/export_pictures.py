@@ -28,8 +28,9 @@ LOOKED_AT: Final = 40
 
 
 def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path) -> Iterator[CardPicture]:
-    """Yield a picture for each source of an export. Only the snapshot decides them: a navmesh of a dataset, which may
-    not be on this machine, is not drawn. Sources whose terms forbid to pass on images have none.
+    """Yield a picture for each source of an export. The pictures depend on the snapshot alone: navmeshes that belong to
+    a dataset are not drawn, since the dataset may be missing on this machine. Sources whose terms forbid passing on
+    images get no picture.
 
     Parameters
     ----------
@@ -47,7 +48,9 @@ def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path)
 
 
 def _chosen(export: Path, sources: set[str]) -> dict[str, Row]:
-    """Return the episode of each source that is drawn: of its first ones, the one with most leaves."""
+    """Return the episode to draw for each source: of the source's first `LOOKED_AT` episodes, the one with the most
+    leaves.
+    """
     wanted = {source for source in sources if source in FAMILIES and not FAMILIES[source].licensed}
     found: dict[str, list[Row]] = {source: [] for source in wanted}
     lines = (line for path in manifest_paths(export) for line in manifest_lines(path))

@@ -37,7 +37,8 @@ PLACING: Final = "episodes"
 
 @dataclass
 class Flow:
-    """Counts of one scene, or of one cell over all scenes: wanted, drawn, rejected, placed.
+    """Counts of one scene, or of one cell over all scenes: episodes wanted, candidates drawn and rejected, and episodes
+    placed.
 
     rejected : candidates by the filter that ended them; undrawn : draws by what ended them
     short : episodes that were wanted and could not be had

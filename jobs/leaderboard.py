@@ -58,7 +58,7 @@ def score_benchmark(
     references: bool = True,
     scenes: Sequence[str] = (),
 ) -> Report:
-    """Score every file of predictions, walk the reference agents, and rank all by success.
+    """Score every file of predictions, run and score the reference agents, and rank all agents by success.
 
     out : file for the board as JSON
     scenes : ``FAMILY=FOLDER`` of each dataset of the split; with them the agent ``looker`` is walked too

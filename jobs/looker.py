@@ -21,7 +21,7 @@ LOOKER: Final = "looker"
 
 
 def looking_agent(datasets: Sequence[str], keys: Sequence[str]) -> LookingAgent:
-    """Create the agent with sensors for some datasets.
+    """Create the agent ``looker``, which sees the scenes of the given datasets.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""``condvln oracle``: write the oracle-linear twin of a split, which gives the gold branch as a plain instruction."""
+"""``condvln oracle``: write the oracle-linear twin of a split. The twin's texts are plain instructions, which give only
+the gold branch of each episode.
+"""
 
 from __future__ import annotations
 

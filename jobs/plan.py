@@ -19,7 +19,8 @@ SHOWN_FILES: Final = 5
 
 
 def make_plan(config: Config, *, every_scene: bool = False) -> Report:
-    """Plan `config` against what is published under its name.
+    """Report what a run of `config` would do and would cost, given the snapshot that is published under the
+    configuration's name.
 
     every_scene : a row for each scene in place of one for all scenes of one cause
     """

@@ -1,4 +1,6 @@
-"""A user's own agent for ``condvln walk``: loads the agent by name, and tells it which objects are visible."""
+"""Users' own agents in ``condvln walk``: functions that load an agent by name, run the agent, and tell the agent which
+objects are visible.
+"""
 
 from __future__ import annotations
 

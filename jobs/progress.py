@@ -107,7 +107,8 @@ class RunProgress:
 
 
 class LoggedRun:
-    """The structured log of one run, one JSON line per event and scene, written on this machine and kept in the store.
+    """The structured log of one run, one JSON line per event and scene. The log is written on this machine, and stored
+    beside the run's record when the run ends.
 
     While the run goes, and if it is killed, the log stands in ``logs/`` of the machine's local state under the time it
     began; when it ends, in ``logs/`` of the store under the name of the run's record.

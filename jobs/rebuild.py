@@ -1,4 +1,5 @@
-"""``condvln rebuild``: the scheduled form of generate: plan, run what changed, publish, export, sweep.
+"""``condvln rebuild``, the form of ``condvln generate`` for schedulers: plan, process what changed, publish, export,
+and sweep the store.
 
 Every step may be killed and is taken up by the next rebuild. On one machine a second rebuild of the same name leaves
 the work to the first; on several, all may work, one publishes, and the others say so.
@@ -104,7 +105,9 @@ def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
 
 
 def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
-    """Process the work that the plan found, publish, export, and sweep the store."""
+    """Process the units that are out of date by the plan `found`, publish, export, and sweep the store; return the
+    rebuild's report.
+    """
     from jobs.generate import add_export, bring_up_to_date, run_report
 
     config, watch = job.config, job.watch

@@ -193,7 +193,9 @@ def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
 def _draw(
     config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, program: Program, folder: Path
 ) -> tuple[Path, str]:
-    """Draw an episode; return the picture's path and why the picture has no first view, empty if it has one."""
+    """Draw an episode; return the path of the picture, and the reason why the picture does not show the agent's view at
+    the start (an empty text if it shows the view).
+    """
     tables = {}
     for name in ("scenes", "rooms", "objects"):
         table = snapshot.table(name, partition=row["source"])
@@ -212,7 +214,9 @@ def _draw(
 
 
 def _world(config: Config, row: Mapping[str, Any]) -> tuple[World | None, str]:
-    """Return the scene of a row with its surfaces, or None and why it can't be opened."""
+    """Return (the scene of a row with the scene's surfaces, an empty text) or, if the scene can't be opened, (None, the
+    reason).
+    """
     fault = "no source of the configuration has the scene"
     for configured in config.sources:
         if configured.family != row["source"]:
@@ -226,7 +230,9 @@ def _world(config: Config, row: Mapping[str, Any]) -> tuple[World | None, str]:
 
 
 def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:
-    """Return the navmesh of a scene: from the store if a run built it, else from any folder of the scene's family."""
+    """Return the navmesh of one scene; `scenes` holds the scene once for each configured folder of its family. A
+    navmesh that a run built is read from the store, another from the first of these folders that has the file.
+    """
     kept = built_navmeshes(config, snapshot)
     for scene in scenes:
         if scene.navmesh is None:

@@ -77,8 +77,9 @@ def show_export(
 
 
 def _chosen(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
-    """Return the manifest lines of the episode that `episode` names; if it is None, a sample with the first ids of each
-    category and source.
+    """Return the manifest lines whose id or hash is `episode` or, if there are none, those whose id or hash begins with
+    `episode`. If `episode` is None, return `sample` lines, spread evenly over categories and sources; each category and
+    source gives the lines with its first ids.
     """
     found: list[ManifestLine] = []
     exact: list[ManifestLine] = []

@@ -1,5 +1,6 @@
-"""``condvln sources``: list what is there, what is missing, and what would be skipped or quarantined. Builds
-nothing."""
+"""``condvln sources``: list what the configured sources hold, what they lack, and which scenes would be skipped or
+quarantined. Builds nothing.
+"""
 
 from __future__ import annotations
 

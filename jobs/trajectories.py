@@ -1,4 +1,6 @@
-"""``condvln trajectories``: training data in the agents' own layouts, one scene a task, resumable and published."""
+"""``condvln trajectories``: make training data in the agents' own layouts. Each scene is one task, a stopped run can be
+resumed, and tables and layouts are written from the run's published snapshot.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +112,7 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
 
 @dataclass(frozen=True)
 class _Work:
-    """What a run makes: its scenes, with which cameras, and how walks and images are configured."""
+    """The work of a run: the scenes as units, the cameras, the layouts, and the configuration of walks and images."""
 
     target: Target
     config: TrajectoryConfig
@@ -268,7 +270,9 @@ class _Run:
         report.exit_code = report.exit_code or compared.exit_code
 
     def _views(self) -> Iterator[AbstractContextManager[AddScene]]:
-        """Yield the writers of the requested layouts, the hub excepted."""
+        """Yield the writers of the requested layouts. The hub, StreamVLN's layout whose images all others share, is not
+        among them: it is written in any case.
+        """
         for name in self.work.layouts:
             if name in _VIEWS:
                 yield _VIEWS[name](self.folder, self.work.target.split)

@@ -1,4 +1,6 @@
-"""Images of a folder of trajectories that a stopped run left damaged, or that another run overwrote."""
+"""Find the images in a folder of trajectories that must be made again: those that a stopped run left damaged, and those
+that another run overwrote.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The units of ``condvln trajectories --from-recipe``, and whether the images are those of the recipe."""
+"""The units of ``condvln trajectories --from-recipe``, and the comparison of new images with the recipe's hashes."""
 
 from __future__ import annotations
 
@@ -114,5 +114,5 @@ class Comparison:
 
     @property
     def exit_code(self) -> int:
-        """The exit code of a run: that of a failed proof if an image differs."""
+        """The exit code of a run: the exit code of a failed proof if an image differs from the recipe, else 0."""
         return ProofError.exit_code if self.different else 0

@@ -1,4 +1,4 @@
-"""What is asked of ``condvln trajectories``, and the folder that it may write to."""
+"""The request of a run of ``condvln trajectories``, and the check that the run may write to the output folder."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Memory(Document):
 
 class Watch:
     """Tells whether anything changed since the last rebuild. The inputs are listed on construction, so that the next
-    run sees what changed during this one.
+    rebuild notices changes that are made while the present one runs.
     """
 
     def __init__(self, config: Config, store: Store, state: Path) -> None:

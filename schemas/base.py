@@ -16,7 +16,7 @@ Vec3 = tuple[Finite, Finite, Finite]
 
 
 class Document(BaseModel):
-    """A document whose unknown keys are errors."""
+    """A document in which an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", validate_default=True)
 

@@ -139,7 +139,7 @@ class SmallerExportError(CondVLNError):
 
 
 class TransientIOError(CondVLNError):
-    """An input/output fault that another try may cure. The only error the factory retries."""
+    """An input/output fault that another try may cure. The factory retries after no other error."""
 
 
 class ClusterError(CondVLNError):

@@ -293,12 +293,14 @@ class Program(Frozen):
         return next((named.room.room_id for named in self.named if named.is_bearing), None)
 
     def gold_leaf(self, truths: Sequence[bool] | None = None) -> int:
-        """Return the index of the leaf that the conditions' truths (or `truths`, in their order) lead to."""
+        """Return the index of the leaf to which the conditions' own truths lead. If `truths` is given (one for each
+        condition, in the conditions' order), these truths decide instead.
+        """
         return self.route(truths)[1]
 
     def route(self, truths: Sequence[bool] | None = None) -> tuple[tuple[int, ...], int]:
-        """Return (indices of the conditions evaluated from the root on, index of the leaf reached), for the conditions'
-        own truths or for `truths`.
+        """Return (indices of the conditions evaluated from the root on, index of the leaf reached), by the conditions'
+        own truths or, if given, by `truths`.
         """
         values = [c.truth for c in self.conditions] if truths is None else truths
         asked: list[int] = []

@@ -1,4 +1,6 @@
-"""The serialized form of a scene, the same for all source families. In memory a scene is arrays (``condvln.scene``)."""
+"""The serialized form of a scene, the same for all source families. In memory, a scene is held as arrays
+(``condvln.scene``).
+"""
 
 from __future__ import annotations
 

@@ -41,8 +41,8 @@ def blocks(scenes: Sequence[str], count: int = BLOCKS) -> list[Indices]:
 
 def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[Indices, Indices]]:
     """Yield, for each block after the first, two arrays of episode indices: the episodes of all earlier blocks, to
-    learn from, and the episodes of the block itself, to guess. What was learned from comes first in the next block's
-    array, in the same order.
+    learn from, and the episodes of the block itself, to guess. The first array begins with the first array of the block
+    before, in the same order.
     """
     parts = blocks(scenes, count)
     for k in range(1, len(parts)):

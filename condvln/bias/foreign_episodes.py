@@ -97,7 +97,9 @@ def _episodes(item: JsonNode) -> Iterator[ForeignEpisode]:
 
 
 def _path(value: dict[str, Any]) -> tuple[float | None, float | None]:
-    """Return the displacement and the rise of an item's path in metres; each is None if it is unknown."""
+    """Return the displacement and the rise, in metres, of the path of an episode given as JSON; each is None if it is
+    unknown.
+    """
     points = value.get("reference_path")
     goals = value.get("goals")
     start = value.get("start_position")

@@ -161,7 +161,7 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
 
 
 class _Part(NamedTuple):
-    """A part of the episodes that gets a test of its own.
+    """A subset of the episodes that is tested separately.
 
     inside : indices of the part's episodes; chance : of each; scenes : the scene of each, numbered from 0
     trials : number of episodes by chance
@@ -185,7 +185,9 @@ class _Part(NamedTuple):
         chance: NDArray[np.float64],
         scene: NDArray[np.int64],
     ) -> _Part:
-        """Return the part of the episodes `inside`; `chance` and `scene` are those of all episodes."""
+        """Return the part that consists of the episodes with the indices `inside`. `chance` and `scene` have a value
+        for every episode of the sample.
+        """
         own = chance[inside]
         scenes = np.unique(scene[inside], return_inverse=True)[1]
         return cls(source, category, predicate, inside, own, scenes, Counter(own.tolist()))
@@ -217,8 +219,8 @@ def _parts(
     asked: Mapping[str, NDArray[np.bool_]],
     guessed: NDArray[np.bool_],
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64]]]:
-    """Yield the parts of the episodes that get a test of their own, each as (source, category, predicate, indices of
-    the part's episodes). Only episodes in the mask `guessed` are included; parts that are too small are left out.
+    """Yield each subset of the episodes that is tested separately, as (source, category, predicate, indices of the
+    subset's episodes). Only episodes in the mask `guessed` are included; subsets that are too small are left out.
 
     The parts are: all episodes, each source, each category of a source, and each predicate overall and within a source.
     The text states the predicates, so chance level is unchanged among the episodes that use one.

@@ -45,7 +45,8 @@ class LeafView:
 
 @dataclass(frozen=True, slots=True)
 class GuesserView:
-    """An episode without its scene. ``scene`` only says which episodes share a scene.
+    """What a guesser may see of an episode, and the gold leaf to learn from. ``scene`` only says which episodes share a
+    scene.
 
     layout : name of the layout that the scene is a variant of; empty if there is none. Objects of one layout rarely
         move, so that the words of a text may predict the truth

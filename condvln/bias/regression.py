@@ -135,7 +135,9 @@ def fitted_scores(features: csr_matrix, gold: NDArray[np.int64], inside: Bools) 
 
 
 def _dot(one: F64, other: F64) -> F64:
-    """Return the scalar product in each fit, (fits,), of vectors (words, classes, fits)."""
+    """Return, for each fit, the scalar product of its vectors in `one` and in `other`. Both arrays have the shape
+    (words, classes, fits), the result has the shape (fits,).
+    """
     found: F64 = (one * other).sum(axis=(0, 1))
     return found
 
@@ -160,7 +162,7 @@ class _Fits:
 
     @classmethod
     def of(cls, features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> _Fits:
-        """See :func:`fitted_scores`."""
+        """Return the losses of the fits that :func:`fitted_scores` makes from the same arguments."""
         table = hstack([features, np.ones((features.shape[0], 1))], format="csr")
         hot = ((gold[:, None] == np.arange(gold.max() + 1))[:, :, None] & inside[:, None, :]).astype(np.float64)
         absent = np.where(hot.any(axis=0), 0.0, -np.inf)
@@ -193,7 +195,9 @@ class _Fits:
         return _times(self.transposed, self._shares(weights) - self.hot) + self.penalty * weights
 
     def step(self, weights: F64, gradient: F64) -> F64:
-        """Return the weights after one step of Newton's method, which is halved where it would not lower the loss."""
+        """Return the weights after one step of Newton's method. In each fit, the step is halved until it lowers the
+        loss enough.
+        """
         ahead = self._direction(weights, gradient)
         slope, loss = _dot(gradient, ahead), self.loss(weights)
         length = np.ones(len(slope))
@@ -214,7 +218,7 @@ class _Fits:
         return found
 
     def _direction(self, weights: F64, gradient: F64) -> F64:
-        """Return Newton's direction, by conjugate gradients (Nocedal and Wright, algorithm 5.2)."""
+        """Return the direction of Newton's step, found by conjugate gradients (Nocedal and Wright, algorithm 5.2)."""
         shares = self._shares(weights)
         left, found = gradient, np.zeros_like(gradient)
         ahead = -left
@@ -235,6 +239,8 @@ class _Fits:
 
 
 def _times(table: csr_matrix, columns: F64) -> F64:
-    """Return table · columns, where `columns` is (rows, classes, fits)."""
+    """Return the matrix product table · columns for each class and fit; `columns` has the shape (columns of the table,
+    classes, fits).
+    """
     found: F64 = (table @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
     return found

@@ -47,7 +47,9 @@ def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:
 
 @lru_cache(maxsize=64)
 def _hits(trials: tuple[tuple[float, int], ...]) -> F64:
-    """Return the probability of each number of right guesses, of `trials` = ((p, number of guesses), …)."""
+    """Return the probability of 0, 1, 2, … right guesses. `trials` has pairs (p, number of guesses that are right with
+    probability p).
+    """
     total = np.ones(1)
     for chance, n in trials:
         total = _convolved(total, _binomial(n, chance))
@@ -55,8 +57,9 @@ def _hits(trials: tuple[tuple[float, int], ...]) -> F64:
 
 
 def _binomial(n: int, chance: float) -> F64:
-    """Return the probability of 0 … n successes: from the likeliest number outwards, each by its ratio to the one
-    before, so that nothing overflows and the largest terms are exact.
+    """Return the probabilities of 0, 1, … n successes. They are computed from the likeliest number of successes
+    outwards, each from its neighbour's probability and their ratio, so that nothing overflows and the largest
+    probabilities are exact.
     """
     mode = min(n, int((n + 1) * chance))
     odds = chance / (1.0 - chance)
@@ -70,7 +73,9 @@ def _binomial(n: int, chance: float) -> F64:
 
 
 def _convolved(one: F64, other: F64) -> F64:
-    """Return the distribution of a sum; by fast Fourier transforms where both parts are long."""
+    """Return the distribution of the sum of two independent numbers that have the distributions `one` and `other`. If
+    both arrays are long, it is computed by fast Fourier transforms.
+    """
     if min(len(one), len(other)) < LONG:
         return np.convolve(one, other)
     length = len(one) + len(other) - 1

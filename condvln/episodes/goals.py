@@ -67,8 +67,8 @@ def is_standable(pathfinder: PathfinderProtocol, points: F64, places: PlacesConf
 def blocked_footprints(
     scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
 ) -> list[tuple[SceneObject, Footprint]]:
-    """Return the objects that stand on the floor but are ignored by the navmesh, which continues below them; each
-    object with its footprint.
+    """Return each object that stands on the floor but is ignored by the navmesh, together with its footprint. The
+    navmesh continues below such an object.
 
     An object is ignored by the navmesh when the floor under the centre of its box can be stood on; furniture that
     the navmesh takes into account leaves a hole there (or is walkable on top). Flat objects that an agent

@@ -72,7 +72,7 @@ class GraphLeaf:
 
 @dataclass(frozen=True, slots=True)
 class GraphPlacement:
-    """The start viewpoint, the start yaw in radians about +Y, and every leaf."""
+    """A program placed on a viewpoint graph: the start viewpoint, the start yaw in radians about +Y, and all leaves."""
 
     start: str
     yaw: float

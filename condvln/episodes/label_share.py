@@ -21,7 +21,7 @@ __all__ = ["allowed_share", "most_leaves", "over_share"]
 
 
 def allowed_share(label_cap: float, labels: int) -> float:
-    """Return the maximum share of leaves that one label may have, if `labels` labels occur."""
+    """Return the maximum share of leaves that one label may have, where `labels` is the number of different labels."""
     return max(label_cap, FEW_LABELS_SLACK / max(1, labels))
 
 

@@ -48,8 +48,8 @@ _Needs = tuple[frozenset[SightNeed], ...]
 
 @dataclass(frozen=True, slots=True)
 class ConditionEvidence:
-    """Where the evidence for one condition is visible. `in_view` tells whether all of it is in the first view, without
-    turning.
+    """From where the evidence for one condition is visible. `in_view` says whether an agent sees all of this evidence
+    in its first view, without turning.
     """
 
     condition: int
@@ -149,7 +149,9 @@ class Observer:
         return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._places.eye_height)
 
     def needs(self, condition: Condition) -> _Needs:
-        """Return alternative sets of targets that reveal a condition's truth: one whole set must be seen."""
+        """Return alternative sets of sight targets. To know a condition's truth, an agent must see all targets of at
+        least one set.
+        """
         room = condition.room.room_id
         anchor = () if condition.qualifier is None else [("object", name) for name in condition.qualifier.anchor_ids]
         if condition.truth:
@@ -161,7 +163,7 @@ class Observer:
         return (frozenset({*there, *anchor}), *whole) if there else whole
 
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
-        """Return the ids of the visible objects in a room that a word for `label` might mean, unlabelled objects
+        """Return the ids of the visible objects that a word for `label` might mean in a room. Unlabelled objects are
         included.
         """
         if (room_id, label) not in self._things:

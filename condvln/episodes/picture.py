@@ -71,7 +71,8 @@ def draw_episode(
     walls: F64 | None = None,
     view: NDArray[np.uint8] | None = None,
 ) -> None:
-    """Write a PNG of one EPISODES row. Each part is left out where it is unknown.
+    """Write a picture of one episode, a row of the table EPISODES, as a PNG file. Parts for which the data are missing
+    are left out.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def wall_lines(scene: Scene, geometry: SceneGeometry | None) -> F64:
 
 
 def _roles(scene: Scene, episode: Mapping[str, Any], program: Program | None) -> Iterator[tuple[str, str]]:
-    """Yield object ids with their colours; a later one counts."""
+    """Yield pairs (object id, colour). If an id occurs several times, its last colour counts."""
     conditions = () if program is None else program.conditions
     for condition in conditions:
         yield from ((name, ANCHOR) for name in _anchors(condition))
@@ -233,7 +234,7 @@ def _draw_paths(plan: Axes, episode: Mapping[str, Any]) -> set[str]:
 def _labels(
     scene: Scene, episode: Mapping[str, Any], program: Program | None, roles: Mapping[str, str]
 ) -> Iterator[Label]:
-    """Yield the labels in the order of their weight."""
+    """Yield the labels of the plan, the most important first."""
     for leaf in episode["leaves"]:
         gold = leaf["leaf"] == episode["gold_leaf"]
         colour, goal = GOLD if gold else OTHER, leaf["reference_path"][-1]

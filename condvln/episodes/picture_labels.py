@@ -31,7 +31,9 @@ LED: Final = 12.0
 
 @dataclass(frozen=True)
 class Label:
-    """A text for the place (x, z), metres. A label that is not `needed` is left out where it has no room."""
+    """A text to write at the place (x, z), in metres. A label that is not `needed` is left out if there is no room for
+    it.
+    """
 
     text: str
     x: float
@@ -85,8 +87,8 @@ def place_labels(axes: Axes, labels: Sequence[Label], marks: Iterable[tuple[floa
 
 
 def _free_shift(box: F64, taken: F64, frame: F64, rings: int) -> F64 | None:
-    """Return the shortest shift (2,) in pixels, of those tried, after which a box (left, bottom, right, top) lies
-    within the frame and overlaps no other box; None if there is none.
+    """Return the shortest of the tried shifts (2,), in pixels, that moves a box (left, bottom, right, top) to a place
+    within the frame where it overlaps no box of `taken`; None if no tried shift does.
     """
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     unit = np.column_stack([np.cos(angles), np.sin(angles)])

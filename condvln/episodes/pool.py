@@ -175,9 +175,9 @@ class _Filling:
         self._seen: set[int] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates in order, but postpone those with which the leaves with some number of moves would exceed
-        their share of the cell. Then, where a cell is still short, place postponed candidates, those with the fewest
-        excess leaves first.
+        """Place candidates in order. A candidate is postponed if, with it, too large a share of the cell's leaves would
+        have the same number of moves. Then, where a cell is still short, place postponed candidates, those with the
+        fewest excess leaves first.
         """
         for one in tries:
             one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
@@ -189,8 +189,8 @@ class _Filling:
                 self._count(one, 1)
 
     def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
-        """Drop episodes so that no label exceeds its share; candidates that were rejected for a full quota take the
-        free places.
+        """Drop episodes so that no label exceeds its share. Then place rejected candidates whose reason, such as a full
+        quota, no longer applies.
         """
         placed = [one for one in tries if one.refused is None]
         share = allowed_share(label_cap, len(self._labels))
@@ -232,8 +232,9 @@ class _Filling:
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
-        """Return the reason why the candidates `one` are not wanted now: a full quota, or a program that is already
-        placed. Return None if they are wanted. The answer may change when other candidates are placed or dropped.
+        """Return the reason why the candidates in `one` are not wanted now, such as a full quota or a program that is
+        already placed. Return None if they are wanted. The answer may change when other candidates are placed or
+        dropped.
         """
         cell = one.cell
         if not self._seen.isdisjoint(one.programs):
@@ -250,14 +251,14 @@ class _Filling:
         return None
 
     def _over_its_moves(self, one: _Try) -> str | None:
-        """Return `LATER` (place the candidates `one` later) if, with these candidates, the leaves with some number of
-        moves would exceed their share of the quota cell; else None.
+        """Return `LATER` if `one` must be postponed, since with it too large a share of the quota cell's leaves would
+        have the same number of moves; else None.
         """
         return LATER if self._beyond_its_moves(one) else None
 
     def _beyond_its_moves(self, one: _Try) -> int:
-        """Return how many leaves of the candidates `one` would be too many. Leaves with the same number of moves are
-        limited to a share of the quota cell; leaves beyond this share are too many.
+        """Return how many leaves of `one` would be too many in its quota cell. Leaves with the same number of moves are
+        limited to a share of the cell; leaves beyond this share are too many.
         """
         cell = one.cell
         if self._move_shares is None or cell is None or cell.moves is not None:
@@ -271,8 +272,8 @@ class _Filling:
         return sum(max(0, min(count, taken[n] + count - most[n])) for n, count in one.moves.items())
 
     def _unplaceable(self, one: _Try) -> str | None:
-        """Place the candidates `one` from one start, unless they are placed already. Return the reason if this is
-        impossible, else None; the reason is final.
+        """Place all candidates in `one` from the same start, unless they are placed already. Return None, or the reason
+        why they can't be placed. This reason is final.
         """
         if one.placement is not None:
             return None

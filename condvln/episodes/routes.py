@@ -93,8 +93,8 @@ class GoalField:
         return np.asarray(rows[:, self._span[object_id]].min(axis=1), dtype=np.float64)
 
     def gaps(self, enough: float) -> F64:
-        """Return the least geodesic distances (n, n) between the goal points of every two objects, in the order of
-        ``goals``.
+        """Return the least geodesic distances (n, n) between the goal points of each two of the n objects, in the order
+        of ``goals``.
 
         Both directions are computed: Detour's path from a to b may be up to 2 m longer than its path from b to a on
         real navmeshes. Gaps of `enough` metres or more count as `enough`. The diagonal is 0.
@@ -133,8 +133,8 @@ class GoalField:
         return self._paths[key]
 
     def route(self, start: F64, moves: Sequence[str]) -> Route | None:
-        """Return the route from `start` through each object of `moves`, at each step to the nearest of its goal
-        points.
+        """Return the route from `start` to the objects of `moves` in order, each time to the nearest goal point of the
+        next object; None if there is no path.
         """
         at, length = start, 0.0
         stops, pieces = [], [start[None]]

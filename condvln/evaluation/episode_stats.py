@@ -221,8 +221,8 @@ def evaluation_of_stats(
 
 
 def _row(task: Judged, stats: Mapping[str, float] | None, told: Set[str]) -> dict[str, float]:
-    """Return the scores of one task; it counts as failed if ``stats`` is None. ``told`` has the measures that occur in
-    any of the results.
+    """Return the scores of one task; the task counts as failed if ``stats`` is None. ``told`` has the names of the
+    measures that occur in the results of any task.
     """
     branches = "bsa_all" in told or "csr_all" in told
     if stats is None:

@@ -41,7 +41,7 @@ class SnappedPath:
 
 
 class Nearness:
-    """Distances in metres in one scene. The distance to an unreachable point is infinite, never NaN."""
+    """Measures distances in one scene, in metres. The distance to an unreachable point is infinite, never NaN."""
 
     def __init__(self, pathfinder: PathfinderProtocol, *, prune: bool = True) -> None:
         self._pathfinder = pathfinder

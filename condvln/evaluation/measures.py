@@ -182,8 +182,8 @@ def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: floa
 
 
 def reached_in_any_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
-    """Return the number of subgoals that some pose is near, as the authors' fork of VLN-Zero counts them: straight
-    lines in 3-D of at most ``radius`` metres, in any order, and one pose may reach several subgoals.
+    """Return the number of subgoals reached in any order, as the authors' fork of VLN-Zero counts them: a subgoal is
+    reached at a straight-line distance in 3-D of at most ``radius`` metres, and one pose may reach several subgoals.
     """
     if len(subgoals) == 0:
         return 0

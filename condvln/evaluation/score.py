@@ -199,8 +199,8 @@ def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, rad
 
 
 def _subgoal_accuracy(reached: int, subgoals: int, success: bool) -> tuple[float, float]:
-    """Return an episode's subgoal accuracy as ``bsa_all`` and as ``bsa`` count it; the second is NaN if the paper's
-    rule leaves the episode out.
+    """Return an episode's subgoal accuracy twice: its value for ``bsa_all``, and its value for ``bsa``, which is NaN if
+    the paper's rule leaves the episode out.
     """
     if subgoals:
         return reached / subgoals, reached / subgoals

@@ -55,8 +55,8 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table: either a number with its interval, the number of episodes that have a value and the number of
-    all episodes, or a text.
+    """A cell of a table. It holds either a text, or a number with its interval and two counts: of the episodes that
+    have a value, and of all episodes.
     """
 
     value: float | int | str | None

@@ -40,7 +40,7 @@ def chunk_content(data: bytes) -> tuple[str, Any]:
 
 
 def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> Path:
-    """Write a chunk to ``<folder>/<name>.js``. Raises StoreError if the disk refuses."""
+    """Write a chunk to ``<folder>/<name>.js``. Raises StoreError if the file can't be written."""
     path = folder / f"{name}.js"
     with atomic_stream(path) as stream:
         stream.write(chunk_bytes(name, document, level))

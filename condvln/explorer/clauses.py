@@ -42,8 +42,8 @@ def clauses(text: str, program: Program) -> list[Clause]:
 
 
 def _expanded(text: str, words: Language) -> tuple[str, list[Span]]:
-    """Return `text` as :meth:`Language.expanded` does, and for each of its characters the span in `text` that it comes
-    from: one character, or a whole contraction ("del" is parsed as "de el").
+    """Return the expanded text, as :meth:`Language.expanded` does, and for each character of the expanded text the span
+    of `text` that the character stands for: one character, or a whole contraction ("del" is parsed as "de el").
     """
     apart = {together: one for one, together in words.contractions.items()}
     whole, places, done = "", [], 0
@@ -56,7 +56,9 @@ def _expanded(text: str, words: Language) -> tuple[str, list[Span]]:
 
 
 def _apart(parsed: list[Clause], places: list[Span]) -> list[Clause]:
-    """Return clauses of the expanded text as ones of the text itself. A contraction belongs to the earlier clause."""
+    """Convert clauses of the expanded text to clauses of the original text. `places` has the span in the original text
+    of each character. A contraction that two clauses share belongs to the earlier clause.
+    """
     found, done = [], 0
     for start, end, condition, leaf in parsed:
         begin, done = max(done, places[start][0]), places[end - 1][1]

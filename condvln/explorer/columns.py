@@ -1,4 +1,6 @@
-"""The columns by which the page lists, filters and counts episodes; one entry per episode, names as numbers."""
+"""The columns by which the page lists, filters and counts episodes. They have one entry per episode, and numbers in
+place of names.
+"""
 
 from __future__ import annotations
 
@@ -55,9 +57,9 @@ class Columns:
         self._extend(self._predicates, "predicate", sorted(asked))
 
     def document(self) -> dict[str, Any]:
-        """Return ``columns``, one entry per episode; ``names``, which the numbers in columns refer to; ``lists``, the
-        labels and predicates of all episodes with the offset of each episode; and ``groups``, the number of
-        counterfactual groups.
+        """Return ``columns``, one entry per episode; ``names``, to which the numbers in the columns refer; ``lists``,
+        the labels and predicates of all episodes, and the offsets at which those of each episode begin; and ``groups``,
+        the number of counterfactual groups.
         """
         return {
             "names": {column: [*names] for column, names in self._names.items()},

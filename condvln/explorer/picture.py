@@ -102,7 +102,9 @@ class _Drawing:
         self._taken.append((x - 8, y - 8, x + 8, y + 8))
 
     def labels(self) -> None:
-        """Write names that cover no other: first of the things that the episode names, then of rooms and furniture."""
+        """Write the names of things and rooms, but leave out a name for which no room is left. The things that the
+        episode names come first, then rooms, then furniture.
+        """
         objects = [item for item in self._plan["objects"] if item["shape"] and not item["structure"]]
         own = [item for item in objects if item["id"] in self._named()]
         for item in own:
@@ -185,7 +187,7 @@ class _Drawing:
 
 
 def _points(plan: Mapping[str, Any], episode: Mapping[str, Any]) -> Iterable[Point]:
-    """Yield all points that must fit in."""
+    """Yield all points that the picture must contain."""
     yield episode["start"][0], episode["start"][2]
     for leaf in episode["leaves"]:
         yield from ((corner[0], corner[2]) for corner in leaf["path"])
@@ -214,5 +216,5 @@ def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
 
 
 def _text(text: str) -> str:
-    """Return text for SVG; characters that can't be seen are shown by their code."""
+    """Return a text escaped for SVG; invisible characters are replaced by their codes, such as ⟨U+200B⟩."""
     return escape(_UNSEEN.sub(lambda found: f"⟨U+{ord(found[0]):04X}⟩", text))

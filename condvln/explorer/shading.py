@@ -42,8 +42,8 @@ def shaded(frame: Frame, labels: tuple[str, ...], hfov: float) -> NDArray[np.uin
 
 
 def _light(depth: NDArray[np.float64], hfov: float) -> NDArray[np.float64]:
-    """Return the brightness of each pixel (h, w) by the direction of its surface: 1 / depth of a plane is linear over
-    the picture, and its slopes give the plane's normal.
+    """Return the brightness (h, w) of the pixels, computed from the normal of the surface at each pixel. The slopes of
+    1 / depth give the normal, since 1 / depth of a plane is linear over the picture.
     """
     height, width = depth.shape
     focal = width / 2 / np.tan(np.radians(hfov) / 2)

@@ -1,4 +1,6 @@
-"""The folder of the page: scripts and styles, copied unchanged, and chunks of data, separate ones for each scene."""
+"""The folder of the page. It holds scripts and styles, which are copied unchanged, and chunks of data; each scene has
+its own chunks.
+"""
 
 from __future__ import annotations
 
@@ -172,7 +174,7 @@ FRAMES: Final = "frames"
 
 
 def _is_ours(out: Path) -> bool:
-    """Return whether a folder is empty, or holds a page and nothing else; the page may be half written."""
+    """Return whether a folder is empty, or holds only a page of the explorer. The page may be half written."""
     page, data = out / PAGE, out / DATA
     if page.exists() and not (page.is_file() and b"condvln-explorer" in page.read_bytes()[:2000]):
         return False

@@ -1,4 +1,4 @@
-"""Describe what changed between two exports, and why: ``CHANGELOG.md``, newest first.
+"""Describe what changed between two exports, and why, in the file ``CHANGELOG.md``; its newest section comes first.
 
 The file is the history of a folder, so the export's own index does not list it. It has no dates: the same two snapshots
 give the same entry on any day. Only hashes of each episode are kept, so that two exports of a million fit in memory.
@@ -122,8 +122,8 @@ class Generated:
 
     @classmethod
     def of(cls, pool: ExportPool) -> Generated:
-        """Build from a pool: its episodes in ascending order of their hashes, each with the reason why it can be in no
-        split, if any.
+        """Return the episodes of a pool in ascending order of their hashes. Each episode that can be in no split has
+        the reason why.
         """
         order = np.argsort(pool.episode)
         return cls(pool.episode[order], pool.unfit[order], pool.reasons)

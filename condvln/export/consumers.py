@@ -1,4 +1,5 @@
-"""Write configuration files for projects that run the episodes: complete task files to use in place of their own.
+"""Write configuration files for the projects that run the episodes. The task files are complete: a project uses one
+instead of its own task file.
 
 Paths assume that the export is linked as ``data/datasets/condvln`` in the project's checkout, beside its
 ``data/scene_datasets``. Success distances are set for SR, SPL, OSR and BSA; nDTW keeps R2R's 3 m. Keys follow VLN-CE's
@@ -91,7 +92,9 @@ def _success_distance(report: ExportReport) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class _AnsrAgent:
-    """The movements of one of the public conditional evaluators, and the folder of its data."""
+    """Settings of one of the public evaluators of conditional episodes: step length, turn and actions of its agent, the
+    folder of its data, and its simulator and measures.
+    """
 
     root: str
     forward: float

@@ -98,8 +98,8 @@ def owned_files(folder: Path) -> set[str]:
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
-    """Return the paths of the certificates in ``folder`` if they no longer hold, else an empty set. They hold if every
-    file that they prove has, in ``files``, the same hash as in their own record.
+    """Return the paths of all certificates in ``folder`` if they no longer hold, else an empty set. They hold if
+    ``files`` has the same hash as the certificates' record for every file that the certificates prove.
     """
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:

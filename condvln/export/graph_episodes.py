@@ -40,7 +40,7 @@ FAMILY = "mp3d"
 
 @dataclass(frozen=True)
 class GraphEpisode:
-    """An episode on a graph: its split, its row as in the episodes table, its instruction's row, its R2R item."""
+    """An episode on a graph: its split, its row of the episodes table, the row of its instruction, and its R2R item."""
 
     split: Split
     row: Row
@@ -128,8 +128,8 @@ class GraphEpisodes:
 
     @cached_property
     def _whole(self) -> dict[str, pa.Table]:
-        """The tables that are queried for each scan, all read once. A hundred scans have about ten thousand
-        instructions.
+        """The tables that are queried for each scan, by name. Each is read once and as a whole, since even a hundred
+        scans have only about ten thousand instructions.
         """
         found = {}
         for name in ("scenes", "rooms", "objects", "instructions"):

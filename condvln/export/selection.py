@@ -58,8 +58,8 @@ class SelectionCell:
 
 @dataclass
 class Selection:
-    """The result: ``split[i]`` is the split of episode ``i`` of the pool, as an index into :data:`SPLITS`, or
-    :data:`OUT`.
+    """The result of :func:`select`. ``split[i]`` is the split of episode ``i`` of the pool: an index into
+    :data:`SPLITS`, or :data:`OUT`.
     """
 
     split: npt.NDArray[np.int8]
@@ -236,8 +236,9 @@ def _quotas(pool: ExportPool, blocks: dict[int, npt.NDArray[np.int64]], per_cell
 
 
 def _wanted(pool: ExportPool, quotas: dict[int, int], per_cell: int | None) -> dict[int, int]:
-    """Return, for each source, the wanted number of episodes of each leaf: its quota, plus a share of the number by
-    which all quotas together fall short of ``per_cell``. Over the sources, the numbers add up to ``per_cell``.
+    """Return, for each source, the wanted number of episodes of each leaf: the source's quota, plus a share of the
+    number by which all quotas together fall short of ``per_cell``. Over the sources, the numbers add up to
+    ``per_cell``.
     """
     wanted = dict(quotas)
     left = (per_cell or 0) - sum(quotas.values())
@@ -322,8 +323,8 @@ class _Picker:
         return rows[0]
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
-        """Remove one of the next few candidates from the queue and return its rows; None if the queue is empty. It is
-        the candidate with the least increase of Σ (true − false)², a sum over the kinds of condition; on ties the
+        """Remove a candidate from the queue and return its rows; None if the queue is empty. The choice among the next
+        few candidates is the one that adds least to Σ (true − false)², summed over the kinds of condition; on ties the
         earliest.
         """
         while queue.waiting and len(queue.window) < LOOKAHEAD:

@@ -205,8 +205,8 @@ def _write(out: Path, path: str, data: bytes, report: ExportReport) -> None:
 def _formerly(
     out: Path, exported: str, now: str, former: SnapshotTables | None, config: ExportConfig
 ) -> tuple[PublishedEpisodes | None, Generated | None]:
-    """Return the published episodes of the export that is replaced, and all episodes of the snapshot from which it was
-    made. Either is None if it is unknown or does not exist.
+    """Return the episodes that the replaced export published, and all episodes of the snapshot from which that export
+    was made. Either is None if unknown or if there is no such export.
 
     The first is read from the folder's manifests, or else from what exporting ``former`` would give; the second is
     known if ``former`` is the published snapshot.

@@ -1,4 +1,4 @@
-"""Assign scenes to groups of splits: {train, val_seen}, {val_unseen} or {test}, never two of them.
+"""Assign each scene to exactly one group of splits: {train, val_seen}, {val_unseen} or {test}.
 
 Families with official lists keep to them, so that pretrained agents have not seen our test scenes. All other scenes are
 assigned by the hash of their own id, so that adding a scene moves no other.
@@ -28,7 +28,8 @@ GROUPS: Final[tuple[Group, ...]] = ("train", "val_unseen", "test")
 
 
 def scene_group(family: str, scene_id: str, config: SplitsConfig) -> Group:
-    """Return the group of a scene by its name: from the configuration, else the official list, else by hash.
+    """Return the group of a scene: the group that the configuration names, else the one in the official list, else one
+    by the hash of the scene's name.
 
     Raises
     ------

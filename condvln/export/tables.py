@@ -101,8 +101,8 @@ class FolderTables:
 
 
 def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:
-    """Return the names of the columns to read. Snapshots of former releases have no ``episode_hash``: there
-    ``episode_id`` is the hash, and is read instead.
+    """Return the names of the columns to read. In snapshots of former releases, which have no ``episode_hash``, the
+    column ``episode_id`` is the hash and is read instead.
     """
     wanted = there if columns is None else columns
     return list(dict.fromkeys(ID if name == HASH and HASH not in there else name for name in wanted))

@@ -1,4 +1,4 @@
-"""File access below a dataset's root folder; a path found in a file can never leave it."""
+"""File access below a dataset's root folder. A path that a file states can never lead out of this folder."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class DatasetRoot:
         return joined
 
     def path(self, relative: str) -> Path:
-        """Return the file or folder, checked for symbolic links that lead out of the root.
+        """Return the full path of a file or folder, after checking that no symbolic link on it leads out of the root.
 
         Raises
         ------

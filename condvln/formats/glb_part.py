@@ -1,4 +1,5 @@
-"""Read a GLB file as a part of another one, checked against the actual bytes.
+"""Read a GLB file as a part of a larger GLB file. Sizes and indices that the file states are checked against the actual
+bytes.
 
 `condvln.formats.gltf_tree` first checks the geometry and rejects unreadable files. The attributes and materials
 that a renderer of static scenes uses are then copied; skins, animations, cameras and lights are dropped.
@@ -39,7 +40,9 @@ MAX_COPIES: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Accessor:
-    """The numbers of one glTF accessor: glTF's component type and type, and the bytes without gaps."""
+    """The content of one glTF accessor: glTF's codes for the component type and the type (such as ``VEC3``), the count,
+    and the bytes without gaps.
+    """
 
     component: int
     kind: str
@@ -52,7 +55,9 @@ class Accessor:
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """Triangles or a triangle strip: accessors by attribute, indices, and a material; all numbered within the part."""
+    """Triangles or a triangle strip. All numbers are indices within the part: of the accessor of each attribute, of the
+    accessor with the triangles' indices, and of the material.
+    """
 
     mode: int
     attributes: dict[str, int]

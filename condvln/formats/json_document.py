@@ -195,7 +195,7 @@ class JsonNode:
         return float(value)
 
     def vector(self, length: int, limit: float = MAX_COORDINATE) -> NDArray[np.float64]:
-        """Return this array's `length` finite numbers, (length,); the absolute value of each is at most `limit`."""
+        """Return this array, which must have exactly `length` finite numbers of absolute value at most `limit`."""
         elements = self.elements()
         if len(elements) != length:
             self.fail(f"{length} numbers are expected, not {len(elements)}")

@@ -1,4 +1,5 @@
-"""Read the entries of a JSON file one by one: of one large object, one large array, or JSON lines; plain or gzip.
+"""Read the entries of a JSON file, plain or gzip, one by one. The file is one large object, one large array, or JSON
+lines.
 
 A prediction file holds a pose for every step of every episode. Parsed as a whole it takes gigabytes; entry by entry,
 the memory of one episode. Reading always ends with the last entry or with one error that names file and place: sizes of
@@ -322,7 +323,9 @@ def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> No
 
 
 def _own_keys(value: Any) -> int:
-    """Return the number of keys of an object, or of all objects that are elements of an array."""
+    """Return the number of keys of `value` if it is an object; if it is an array, of all objects that are its direct
+    elements.
+    """
     if isinstance(value, dict):
         return len(value)
     return sum(len(item) for item in value if type(item) is dict) if isinstance(value, list) else 0

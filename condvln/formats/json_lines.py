@@ -1,4 +1,4 @@
-"""Read files with one JSON document per line, plain or gzip: all lines in turn, or a single one, in bounded memory."""
+"""Read all lines, or a single line, of a file with one JSON document per line, plain or gzip, in bounded memory."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ _REMEDY = "Take the file from its dataset again"
 
 @dataclass(frozen=True)
 class _Checkpoint:
-    """A position to resume reading from: offset in the text, offset in the file, and the decompressor's state there."""
+    """A position at which reading can be resumed: the offset in the text, the offset in the file, and the
+    decompressor's state at this position.
+    """
 
     text: int
     file: int

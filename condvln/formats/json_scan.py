@@ -23,8 +23,8 @@ def new_state() -> npt.NDArray[np.int64]:
 
 @compiled
 def scan(block: npt.NDArray[np.uint8], state: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the offsets in ``block`` just after the end of each container directly inside the outermost one, and of
-    the outermost itself.
+    """Return the offsets in ``block`` at which a container ends (just after its bracket), in ascending order. Only the
+    outermost container and the containers directly inside it are considered.
 
     ``state`` is updated in place. An unmatched closing bracket makes the depth negative.
     """

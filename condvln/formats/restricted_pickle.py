@@ -31,7 +31,9 @@ class UnsafePickleError(ValueError):
 
 
 class _DType:
-    """A dtype given by its string; its state holds the byte order."""
+    """A numpy dtype as a pickle states it: the dtype's string (`text`) and the byte order (`order`), which the pickle
+    sets afterwards.
+    """
 
     def __init__(self, text: str) -> None:
         self.text = text

@@ -1,4 +1,4 @@
-"""Triangles of mesh files and trimesh scenes, placed as in Habitat: full node transforms, in float32.
+"""Triangles of mesh files and trimesh scenes, placed as in Habitat, with all node transforms applied in float32.
 
 Follows ``ResourceManager::joinHierarchy`` of habitat-sim: the nodes of a file are visited depth first, transforms are
 multiplied down the tree and applied to float32 positions, and the triangles are concatenated in that order.
@@ -34,7 +34,9 @@ MAX_DEPTH = 512
 
 @dataclass(frozen=True, eq=False)
 class PlacedMesh:
-    """A mesh file, scene or mesh, and the (4, 4) transform that takes it to the Habitat frame of the scene, metres."""
+    """A mesh (path of a file, trimesh scene or trimesh mesh), and the (4, 4) transform that takes the mesh to the
+    Habitat frame of the whole scene, metres.
+    """
 
     mesh: str | os.PathLike[str] | trimesh.Scene | trimesh.Trimesh
     transform: npt.ArrayLike
@@ -109,7 +111,7 @@ def _read(path: Path, root: Array) -> list[tuple[Array, Array]]:
 
 
 def _node_number(name: str) -> int:
-    """Return the depth-first index of a node of ``glb_scene``."""
+    """Return the depth-first index of a node, read from the node's name in a ``glb_scene``."""
     return int(name.removeprefix("node").partition("_")[0])
 
 

@@ -93,7 +93,9 @@ def share_inside(low: F64, high: F64, ring: F64) -> float:
 
 
 def _clipped(points: list[tuple[float, float]], axis: int, bound: float, sign: float) -> list[tuple[float, float]]:
-    """Return the part of a polygon where sign · coordinate ≥ sign · bound."""
+    """Return the part of a polygon where the coordinate along `axis` is at least `bound` (`sign` 1) or at most `bound`
+    (`sign` −1).
+    """
     found: list[tuple[float, float]] = []
     for one, other in zip(points, [*points[1:], *points[:1]], strict=True):
         inside = [sign * (point[axis] - bound) >= 0.0 for point in (one, other)]

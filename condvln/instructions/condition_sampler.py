@@ -31,7 +31,7 @@ Groups = tuple[tuple[tuple[Form, ...], float], ...]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Asked:
-    """A condition that calls its room by one of the room's names, and what the condition claims."""
+    """A condition, in which the room has one of its possible names, and the claim that the condition makes."""
 
     condition: Condition
     claim: Claim

@@ -247,8 +247,8 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
 
 
 def balanced_weights(true: Bools, false: Bools) -> dict[bool, F64] | None:
-    """Return weights for the true cells and for the false cells of a (labels, anchors) table, such that both have equal
-    marginals.
+    """Return, by truth, the weights of the cells of a (labels, anchors) table: those of the true cells and those of the
+    false cells, with equal marginals.
 
     For room types that are too rare for priors. With these weights neither the label nor the anchor predicts whether
     the statement is true. Method: iterative proportional fitting (Deming & Stephan 1940) of both tables towards the

@@ -64,7 +64,7 @@ def flipped(program: Program, index: int, twin: Condition) -> Program:
 
 
 def swapped(program: Program, one: int, other: int) -> Program:
-    """Return `program` with two leaves exchanged."""
+    """Return `program` with the leaves at the indices `one` and `other` exchanged."""
     leaves = list(program.leaves)
     leaves[one], leaves[other] = leaves[other], leaves[one]
     return Program(

@@ -228,7 +228,7 @@ def idle_conditions(category: Category, goals: Sequence[str]) -> tuple[int, ...]
 
 
 def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
-    """Return every rule that a whole program violates, sorted; empty for a valid one."""
+    """Return every rule that a whole program violates, sorted; empty if the program is valid."""
     found = set()
     goals = [leaf.goal.object_id for leaf in program.leaves]
     if len(set(goals)) < len(goals):

@@ -1,4 +1,5 @@
-"""Weights of statements that keep their truth from being predictable, from counts over rooms.
+"""Weights for drawing statements, computed from counts over rooms, so that the truth of a drawn statement is not
+predictable.
 
 A statement that is usually true is asked rarely where it is true, and as often where it is false. Statements seen in a
 few rooms can't be balanced one by one; their labels can: the weights of a label's statements are lowered for the truth
@@ -79,6 +80,8 @@ def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, t
 
 
 def _lowered(of_false: int, of_true: int) -> tuple[float, float]:
-    """Return the factors, none above 1, that make both sums equal; both are 0 if one of the sums is."""
+    """Return one factor for `of_false` and one for `of_true`, none above 1, that make the two sums equal; both factors
+    are 0 if either sum is 0.
+    """
     less = min(of_false, of_true)
     return (less / of_false, less / of_true) if less > 0 else (0.0, 0.0)

@@ -173,7 +173,9 @@ class Language:
 
     @cached_property
     def noun_texts(self) -> frozenset[str]:
-        """All nouns, and what they begin with: no compound of a room and a noun may be one of them."""
+        """The text of each noun, and every sequence of words with which a noun begins. A compound such as "kitchen
+        sink" is not used if it is one of these texts.
+        """
         nouns = [noun.text.split() for _, noun in self.nouns_of_all_rooms]
         return frozenset(" ".join(words[:k]) for words in nouns for k in range(1, len(words) + 1))
 
@@ -198,11 +200,13 @@ class Language:
         return f"{self.articles['that'][noun.kind]} {noun.text}"
 
     def compound(self, noun: Noun, room: Noun) -> str:
-        """Return the noun behind that of its room: "the kitchen sink"."""
+        """Return a noun with the noun of its room before it, and the article: "the kitchen sink"."""
         return f"{self.articles['definite'][room.kind]} {room.text} {noun.text}"
 
     def agreeing(self, phrase: str, noun: Noun) -> str:
-        """Return the phrase of a relation with its adjective in the class of the noun before it."""
+        """Return a relation's phrase in which the adjective, if there is one, agrees in class with `noun`, the noun
+        before the phrase.
+        """
         return phrase.replace("{cercano}", self.articles["nearest"][noun.kind]) if "{" in phrase else phrase
 
     def answered(self, phrase: str, noun: Noun) -> str:

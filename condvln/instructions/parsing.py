@@ -169,7 +169,9 @@ class _GrammarWriter:
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
 
     def _answers(self) -> list[str]:
-        """Return the rules of the answers. Those that answer any question have a rule of their own."""
+        """Return the grammar rules of the answers "yes" and "no". Answers that fit every kind of question have a rule
+        of their own.
+        """
         slots, rules = self.words.slots, []
         for word in ("yes", "no"):
             one, it = slots[f"{word}_one"], slots[f"{word}_it"]
@@ -178,7 +180,7 @@ class _GrammarWriter:
         return rules
 
     def _answering(self, word: str) -> list[str]:
-        """Return the names of the rules of the answers "yes" or "no"."""
+        """Return the names of the grammar rules for the answer `word`, which is "yes" or "no"."""
         return [rule.split(":")[0] for rule in self._answers() if rule.startswith(f"{word}_")]
 
     def _either(self, slot: str) -> str:
@@ -334,8 +336,8 @@ class _TreeReader:
         )
 
     def _stops(self, trees: Iterable[Node]) -> tuple[Phrase, ...]:
-        """Return the stops of a leaf. A stop without a room is in the room of the stop before it; the first one is
-        where the text named it, or an anchor of it, before.
+        """Return the stops of a leaf. A stop without a room is in the room of the stop before it. If the first stop has
+        no room, `_known` finds the room with which the text has already named this stop.
         """
         found: list[Phrase] = []
         for tree in trees:
@@ -348,7 +350,9 @@ class _TreeReader:
         return tuple(found)
 
     def _known(self, stop: Phrase) -> Place | None:
-        """Return the room in which the text named a stop, or an anchor of it; None if it named no room for them."""
+        """Return the room with which the text has already named the object of a stop, or one of the stop's anchors;
+        None if the text has named none of these with a room.
+        """
         rooms = {room for label in _labels(stop) for room in self.known.get(label, ())}
         if len(rooms) > 1:
             raise FormatError(f"the text says 'the {stop.label}' where {len(rooms)} rooms could be meant")

@@ -205,8 +205,8 @@ class LabelPriors:
     def _label_weights(
         self, labels: Sequence[str], types: Sequence[str], layout: str, staged: frozenset[str]
     ) -> dict[LabelForm, tuple[float, float]]:
-        """Return the weights of a scene's labels; see `PriorBits`. They count statements with all anchors, also with
-        those that the scene lacks.
+        """Return the weights of a scene's labels; see `PriorBits`. They come from counts of statements with any anchor,
+        even anchors that the scene lacks.
         """
         columns = {name: self._counts[name] for name in ("layout", "room_type", "label", "predicate")}
         read = pc.and_(

@@ -358,8 +358,8 @@ def _nameless(
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:
-    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). It may if it
-    is fixed, or if the ground area or the volume of object j is at least that of object i.
+    """Return a mask (n, n): whether object j may be the anchor of object i, judging by the `sizes` (n, 3). This is so
+    if j is fixed, or if the ground area or the volume of j is at least that of i.
     """
     area, volume = sizes[:, 0] * sizes[:, 2], sizes.prod(axis=1)
     suits = fixed[None, :] | (area[None, :] >= area[:, None]) | (volume[None, :] >= volume[:, None])

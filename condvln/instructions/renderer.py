@@ -1,4 +1,4 @@
-"""The words of one text: its phrases, from left to right, by the voice and the templates of its language."""
+"""Choose the words of one text, phrase by phrase from left to right, from a voice and a template of the language."""
 
 from __future__ import annotations
 
@@ -185,7 +185,9 @@ class Renderer:
         return self._in_turn(slot, phrases)
 
     def _in_turn(self, slot: str, phrases: tuple[str, ...]) -> str:
-        """Return the next of the phrases of a slot. The first one is drawn; then they take turns."""
+        """Return the next of the `phrases` of a slot. The first phrase that a text uses is drawn at random; afterwards
+        the phrases follow in their order.
+        """
         if slot not in self._turns:
             self._turns[slot] = self.draws.index(len(phrases)) if len(phrases) > 1 else 0
         self._turns[slot] += 1
@@ -215,11 +217,15 @@ class Renderer:
         return f"{there}{self._relation(condition)}{self._asked_where(condition)}"
 
     def _asked_where(self, condition: Condition) -> str:
-        """Return the room of what may be there: "in the bedroom", or "there" where the last question was about it."""
+        """Return the place at which the object of a condition may exist: "there" if `_place` allows this word, else its
+        room ("in the bedroom").
+        """
         return self._place(condition) or self._where(condition.room, named=True)
 
     def _place(self, condition: Condition) -> str:
-        """Return "there" if a question about an unqualified object follows one about the same room; empty if not."""
+        """Return "there" if the question is about an object without a qualifier and the previous question was about the
+        same room; empty otherwise.
+        """
         same = self._same_room_asked and condition.room == self.last_room and condition.qualifier is None
         return f" {self._phrase('place')}" if same and not self._elided(condition.room) else ""
 
@@ -266,7 +272,9 @@ class Renderer:
         return self._in_turn("see", _shortest(self.voice.slots["see"]) if self.short else self.voice.slots["see"])
 
     def _know(self, named: Condition | ObjectRef) -> None:
-        """Note the room of the things that a phrase names as known, so that they can be named without it later."""
+        """Record that the text has now named the objects of a phrase with their room, so that it can later name them
+        without the room.
+        """
         if self._elided(named.room) or self._is_shared(named):
             return
         if isinstance(named, ObjectRef) or named.definite:
@@ -282,7 +290,9 @@ class Renderer:
         return self.words.filled(self._phrase(slot), self._noun(condition))
 
     def _compound(self, named: Condition | ObjectRef) -> str | None:
-        """Return "the kitchen sink", if the text says such compounds and this one is a usual one."""
+        """Return a compound like "the kitchen sink" for an object; None if this text does not use compounds, or the
+        compound of this object would be unusual or unclear.
+        """
         labels, rooms = self.words.compounds
         if not self._compounds or named.label not in labels or named.room.label not in rooms:
             return None
@@ -317,8 +327,9 @@ class Renderer:
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
     def _lying(self, noun: Noun) -> str:
-        """Return the words between the noun of a stop and the relation after it, such as "que está". A text uses them
-        once, and then only after nouns whose article is contracted: "al sillón al sur" says the same word twice.
+        """Return the words between the noun of a stop and the relation after it, such as "que está". Empty if the text
+        has used these words before, except after a noun whose article is contracted: "al sillón al sur" would say "al"
+        twice.
         """
         article = self.words.articles["definite"][noun.kind]
         contracted = any(apart.split()[-1] == article for apart in self.words.contractions)
@@ -391,7 +402,9 @@ class Renderer:
         return f"{noun}{relation}{self._where(ref.room, kind)}"
 
     def _is_known(self, ref: ObjectRef) -> bool:
-        """Return whether the text has named a stop, or all its anchors, with the room, so that a listener knows it."""
+        """Return whether a listener already knows the room of a stop, since the text has named the stop's object, or
+        all its anchors, with the room.
+        """
         if self._is_shared(ref) or (not _labels(ref)[1:] and ref.label not in self._found):
             return False
         return all(self._room_of.get(label) == ref.room for label in _labels(ref)[1:] or _labels(ref))

@@ -270,8 +270,8 @@ class ProgramSampler:
 
     @contextmanager
     def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Return a context manager to put around one draw. It counts for `cell`, by reason, the draw itself if it is
-        rejected and, in any case, the conditions that clashed with others.
+        """Return a context manager to put around one draw. It adds to the rejections of `cell`, by reason: the draw
+        itself if it fails, and in any case the conditions that clashed with others.
         """
         try:
             yield
@@ -559,8 +559,8 @@ class ProgramSampler:
         return any(not self.words.overlapping(label).isdisjoint(labels) for label in qualifier.anchor_labels)
 
     def _preferences(self, refs: Sequence[ObjectRef]) -> list[float]:
-        """Return weights of the names of an object, by predicate; a name of weight 0 is used only if it is the only
-        one.
+        """Return the weights of `refs`, the names of one object, set by their predicates; a name of weight 0 is used
+        only if the object has no other name.
         """
         groups = ["" if ref.qualifier is None else GROUP_OF[ref.qualifier.predicate] for ref in refs]
         weights = [getattr(self.sampling.predicates, group, 1.0) / groups.count(group) for group in groups]

@@ -119,7 +119,7 @@ def distinct(piece: Sequence[Sequence[str]], n: int) -> float:
 
 
 def banned_in(text: str) -> list[str]:
-    """Return the name of each phrase to avoid that occurs in a text, once per occurrence."""
+    """Return the names of the phrases to avoid in a text; a name is repeated for each occurrence of its phrase."""
     low = text.lower()
     return [name for name, pattern in BANNED.items() for _ in pattern.finditer(low)]
 

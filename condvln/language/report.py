@@ -155,8 +155,8 @@ def _share(flags: Iterable[bool]) -> float:
 
 
 def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
-    """Return the numbers of all `texts`, of the texts that do not parse back to their program, and of the texts with
-    findings of the binding lint; None if there are no texts.
+    """Return three counts: all `texts`, those that do not parse back to their program, and those with findings of the
+    binding lint. Return None if there are no texts.
     """
     if not texts:
         return None
@@ -176,7 +176,7 @@ def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
 
 
 def _is_said(one: InstructionText, code: str) -> bool:
-    """Return whether the text, parsed in the language `code`, means exactly its own program."""
+    """Return whether the text of `one`, parsed in the language `code`, means exactly the program of `one`."""
     assert one.program is not None
     try:
         reading = parse(one.text, code)

@@ -81,7 +81,7 @@ class GraphPathfinder:
 
     @property
     def settings(self) -> NavMeshSettings | None:
-        """None: a graph is not built for a particular agent."""
+        """Always None, since a graph is not built for a particular agent."""
         return None
 
     @property
@@ -91,7 +91,7 @@ class GraphPathfinder:
 
     @property
     def navigable_area(self) -> float:
-        """0: viewpoints have no area."""
+        """Navigable area: always 0, since viewpoints have no area."""
         return 0.0
 
     @property

@@ -1,4 +1,4 @@
-"""Occluders of lines of sight: a scene's triangles, or boxes and walls if it has none."""
+"""Occluders of lines of sight: a scene's triangles or, if the scene has no triangles, boxes and walls."""
 
 from __future__ import annotations
 

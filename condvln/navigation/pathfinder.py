@@ -237,21 +237,21 @@ class Pathfinder:
     # -- movement ------------------------------------------------------------------------------------------------------
 
     def try_step(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
-        """Return the point (3,) where a move from ``start`` towards ``end`` ends. The move slides along walls; the
+        """Return the point (3,) that a move from ``start`` towards ``end`` reaches. The move slides along walls; the
         result is ``start`` if the move is impossible.
         """
         reached: Floats = self.try_steps(one_point(start), one_point(end))[0]
         return reached
 
     def try_step_no_sliding(self, start: npt.ArrayLike, end: npt.ArrayLike) -> Floats:
-        """Return the point (3,) where a move from ``start`` towards ``end`` ends. The move stops at the first wall, as
-        in habitat-sim 0.3.4.
+        """Return the point (3,) that a move from ``start`` towards ``end`` reaches. The move stops at the first wall,
+        as in habitat-sim 0.3.4.
         """
         reached: Floats = self.try_steps(one_point(start), one_point(end), sliding=False)[0]
         return reached
 
     def try_steps(self, starts: npt.ArrayLike, ends: npt.ArrayLike, sliding: bool = True) -> Floats:
-        """Return the points (n, 3) where n moves from ``starts`` towards ``ends`` end."""
+        """Return the points (n, 3) that n moves from ``starts`` towards ``ends`` reach."""
         first, second = many_points(starts), many_points(ends)
         if len(first) != len(second):
             raise UsageError(f"there are {len(first)} starts but {len(second)} ends", remedy="Give one end per start")
@@ -323,8 +323,8 @@ class Pathfinder:
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def top_down_view(self, metres_per_pixel: float, height: float, eps: float = MAX_Y_DELTA) -> npt.NDArray[np.bool_]:
-        """Return a mask of the points of a horizontal grid at ``height`` that are navigable, within ``eps`` metres in
-        height. The mask's rows run along z, its columns along x.
+        """Return a mask of the navigable points of a horizontal grid at ``height``. A navigable point is at most
+        ``eps`` metres above or below the navmesh. The mask's rows run along z, its columns along x.
 
         Raises
         ------

@@ -17,7 +17,8 @@ __all__ = ["PathfinderProtocol", "ShortestPath"]
 
 @runtime_checkable
 class PathfinderProtocol(Protocol):
-    """Shortest paths and points of one scene: over a navmesh, over a graph of viewpoints, or by habitat-sim itself.
+    """Shortest paths and navigable points of one scene. An implementation uses a navmesh, a graph of viewpoints, or
+    habitat-sim itself.
 
     Points are (3,) and batches (n, 3), metres, Habitat frame. A point that can't be projected snaps to NaN; the
     distance to a point that can't be reached is infinite.

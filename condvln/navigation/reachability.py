@@ -1,4 +1,5 @@
-"""Compare generated surfaces with a simulator: positions reachable for AI2-THOR's agent, and for ours.
+"""Compare generated surfaces with a simulator: which positions AI2-THOR's agent can reach, and which our agent can
+reach.
 
 The reachable positions that go with the metadata are those of the ALFRED benchmark (AI2-THOR 2.1.0). Its agent is a
 capsule of radius 0.175 m and height 0.9 m (allenai/ai2thor#732), and each position was kept only if the agent could

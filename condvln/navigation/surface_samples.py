@@ -87,9 +87,9 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
 
 
 def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
-    """Return, for each of ``count`` random points, the index of the face on which the point lies, and the random
-    generator, with which the caller places the points. The total area is divided into ``count`` equal slices, and each
-    slice gets one point.
+    """Choose a face for each of ``count`` random points, in proportion to the areas of the faces. Return the indices of
+    the faces, and the random generator with which the caller places the points on them. The total area is divided into
+    ``count`` equal slices, and each slice gets one point.
     """
     if count < 1:
         raise UsageError(f"the number of samples must be positive, got {count}", remedy="Request at least one")

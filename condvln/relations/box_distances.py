@@ -85,9 +85,9 @@ def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
 
 
 def _edges(from_a: F64, along_a: F64, from_b: F64, along_b: F64, normal: F64) -> F64:
-    """Return the least distance (p,), for each of p pairs of boxes, between four edges of one box and four edges of the
-    other. A pair of edges counts only if their lines are nearest at points on both edges; the result is infinite if
-    there is no such pair.
+    """Return, for each of p pairs of boxes, the least distance (p,) between four edges of one box and four edges of the
+    other. Two edges count only if the points at which their lines are nearest to each other lie on the edges; the
+    distance is infinite if no two edges count.
 
     from_a, from_b : (p, 4, 3) where they begin; along_a, along_b : (p, 3) vectors to their ends
     normal : (p, 3) perpendicular to both

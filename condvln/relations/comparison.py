@@ -87,8 +87,8 @@ def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
 def between_facts(
     centers: F64, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
 ) -> tuple[Status, F64]:
-    """Return the status and the margin of the statements "object i is between a and b", (n, p) each, for p `pairs` of a
-    and b.
+    """Return the status and the margin of the statements "object i is between a and b", (n, p) each, for p `pairs` of
+    anchors a and b.
 
     centers (n, 3) : metres; pairs (p, 2) : indices of the anchors
     compound (n,) : objects of several boxes; their centres say little, so their status is 0

@@ -1,4 +1,4 @@
-"""Surface distances of objects whose boxes are close: of boxes in closed form, of meshes with FCL."""
+"""Surface distances of objects whose boxes are close. Boxes are measured in closed form, meshes with FCL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which facts text may use: as true, as false, or not at all."""
+"""Decide for each fact whether text may use it as true, as false, or not at all."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def _fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> _Fact:
 
 
 def _turned(fact: _Fact) -> _Fact:
-    """Return the fact with subject and anchor exchanged: "below" from "above"."""
+    """Return the fact with subject and anchor exchanged, as "below" follows from "above"."""
     status, margin = fact
     return np.ascontiguousarray(status.T), np.ascontiguousarray(margin.T)
 

@@ -99,9 +99,8 @@ def _lexicon(content: bytes) -> bytes:
 
 
 def _articulated(name: str) -> bytes:
-    """Return the configuration of the articulated body `name`. The configuration's semantic id is the position, counted
-    from 1, of the body's label among the catalogue's sorted labels, since Habitat's ProcTHOR has no names for such
-    types.
+    """Return the configuration of the articulated body `name`. Habitat's ProcTHOR has no names for the types of such
+    bodies, so the semantic id is the position (from 1) of the body's label among the catalogue's sorted labels.
     """
     (label,) = {kind.label for kind in catalogue().values() if kind.urdf == name}
     number = sorted({kind.label for kind in catalogue().values()}).index(label) + 1

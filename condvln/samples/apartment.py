@@ -79,7 +79,7 @@ def _furnished(seed: str, plan: FloorPlan) -> list[RoomSpace] | None:
 
 
 def _door_zone(door: PlanDoor, plan: FloorPlan, room: int) -> DoorZone:
-    """Return the part of this room's floor in front of the door."""
+    """Return the part of the floor in front of `door` that lies in the room with index `room`."""
     half = door.width // 2
     sides = []
     for sign in (-1, 1):

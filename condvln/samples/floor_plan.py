@@ -323,8 +323,8 @@ def _reluctance(one: str, other: str) -> float:
 
 
 def _doors(rng: random.Random, rooms: Sequence[PlanRoom]) -> tuple[PlanDoor, ...] | None:
-    """Return doors that connect all cells, such that a private room leads to no other room (a bedroom may lead to one
-    bathroom of its own); None if none are found.
+    """Return doors that connect all cells; None if no suitable doors are found. A private room must not lead to any
+    further room, except that a bedroom may lead to one bathroom of its own.
     """
     room_for_door = max(DOOR_WIDTHS) + 2 * DOOR_CORNER_MARGIN
     walls = [wall for wall in _walls(rooms) if wall.high - wall.low >= room_for_door]

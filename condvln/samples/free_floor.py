@@ -18,7 +18,8 @@ SLIT: Final = 0.05
 
 
 def free_floor(layout: Layout, radius: float = 0.1) -> shapely.Geometry:
-    """Return where the centre of an agent of this radius (metres) may be: polygons over (x, z), corners on the mm grid.
+    """Return the floor on which the centre of an agent of this radius (metres) may be, as polygons over (x, z) with
+    corners on the millimetre grid.
 
     Obstacles are walls and the footprints of everything between ankle and head height; rugs and mats are walkable. The
     result has several polygons if the floor is not connected for that radius.

@@ -124,7 +124,7 @@ def _regions(layout: Layout) -> tuple[list[Record], list[Record], list[Record]]:
 
 
 def _panoramas(views: Viewpoints, ids: list[str], number: Mapping[str, int]) -> tuple[list[Record], list[Record]]:
-    """Return the P records of panoramas, with one image record (I) each."""
+    """Return the panorama records (P), and one image record (I) for each panorama."""
     panoramas: list[Record] = []
     images: list[Record] = []
     for i, (pano, place) in enumerate(zip(ids, views.places.tolist(), strict=True)):
@@ -135,8 +135,8 @@ def _panoramas(views: Viewpoints, ids: list[str], number: Mapping[str, int]) -> 
 
 
 def pose(spot: list[float]) -> list[float]:
-    """Return the 4 × 4 camera-to-world matrix, row by row. Camera axes: x right, y down, z forward; the camera looks
-    along +y.
+    """Return the 4 × 4 camera-to-world matrix of a camera at `spot`, row by row. Camera axes: x right, y down, z
+    forward; the camera looks along +y.
     """
     return [1.0, 0.0, 0.0, spot[0], 0.0, 0.0, 1.0, spot[1], 0.0, -1.0, 0.0, spot[2], 0.0, 0.0, 0.0, 1.0]
 

@@ -107,7 +107,7 @@ def make_samples(
 
 
 def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:
-    """Write `layouts`, by scene name, as a ReplicaCAD dataset; raises the errors of `make_samples`."""
+    """Write `layouts`, which are keyed by scene name, as a ReplicaCAD dataset. Raises the errors of `make_samples`."""
     return _write(folder, "replicacad", layouts, replicacad_files(layouts, navmesh))
 
 

@@ -1,4 +1,6 @@
-"""Models of the catalogue as assets: origin, centre of mass, GLB and URDF of each."""
+"""Assets for the kinds of the catalogue: GLBs of rigid models with their centres of mass, and URDFs with GLBs of
+articulated kinds.
+"""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Rect(NamedTuple):
         return Rect(self.x0 - by, self.z0 - by, self.x1 + by, self.z1 + by)
 
     def overlap(self, other: Rect) -> int:
-        """Return the area of the intersection in square millimetres; 0 if they only touch."""
+        """Return the area of the intersection in square millimetres; 0 if the rectangles only touch."""
         width = min(self.x1, other.x1) - max(self.x0, other.x0)
         depth = min(self.z1, other.z1) - max(self.z0, other.z0)
         return width * depth if width > 0 and depth > 0 else 0

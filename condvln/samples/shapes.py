@@ -185,8 +185,8 @@ SHAPES: Final[dict[str, tuple[Part, ...]]] = {
 
 
 def part_boxes(shape: str, size: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Return the parts of a piece of furniture as boxes (n, 2, 3), for a piece of `size`. Lower and upper corners are
-    in metres from the centre of the piece.
+    """Return the parts of a piece of furniture of the given `size` as boxes (n, 2, 3): lower and upper corners, in
+    metres from the centre of the piece.
     """
     shares = np.array(SHAPES[shape])
     corners = np.stack([shares[:, 0::2], shares[:, 1::2]], axis=1)

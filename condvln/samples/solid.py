@@ -1,5 +1,5 @@
-"""A whole layout as one mesh, as triangles or as GLB: floor slabs, walls, and all parts of each piece of furniture at
-its position.
+"""A whole layout as one mesh, given as triangles or as a GLB file: floor slabs, walls, and all parts of every piece of
+furniture in place.
 """
 
 from __future__ import annotations

@@ -251,7 +251,9 @@ def _maybe_turned(rng: random.Random, kind: Kind, yaw: Yaw, chance: float = TURN
 
 
 def row_of(rng: random.Random, room: RoomSpace, kinds: list[tuple[Kind, int]]) -> Iterator[list[Piece]]:
-    """Yield whole rows of pieces, one for each (kind, variant) in `kinds`, side by side at a wall, as in a kitchen."""
+    """Yield whole rows of pieces, side by side at a wall as in a kitchen. A row has one piece for each (kind, variant)
+    in `kinds`.
+    """
     total = sum(kind.sizes[variant][0] + WALL_GAP for kind, variant in kinds)
     for edge in _walls(rng, room, total):
         low, high = WALL_GAP, edge.length - WALL_GAP - total

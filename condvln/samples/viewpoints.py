@@ -1,5 +1,5 @@
-"""Viewpoints in an apartment, like Matterport3D's panoramas: their positions, and which of them see and reach each
-other.
+"""Viewpoints in an apartment, like Matterport3D's panoramas: their positions, and which pairs of viewpoints see and
+reach each other.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def _walks(places: F64, floor: shapely.Geometry) -> Flags:
 
 
 def _bridged(places: F64, floor: shapely.Geometry) -> F64:
-    """Return the given viewpoints, with more added where they are not connected. The new ones are along shortest paths
-    over the floor's convex polygons.
+    """Return the viewpoints `places`, with new viewpoints added until all are connected. The new viewpoints are on
+    shortest paths over the floor's convex polygons.
     """
     ways: nx.Graph[Place] = nx.Graph()
     vertices, polygons = convex_polygons(floor)

@@ -61,8 +61,8 @@ def box_corners(box: OrientedBox) -> F64:
 
 
 def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
-    """Return the oriented box, in the scene, of a body whose box in its own frame is `local` (2, 3). Return None if
-    `transform` shears the body.
+    """Convert a body's axis-aligned box `local` (2, 3), given in the body's own frame, to an oriented box in the
+    scene's frame. Return None if `transform` shears the body.
 
     Scale along the body's axes goes into the half extents; mirroring gives the same box.
     """

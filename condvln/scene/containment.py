@@ -80,8 +80,8 @@ def with_containment(objects: Sequence[SceneObject], family: str) -> tuple[Scene
 
 
 def stated_holders(objects: Sequence[SceneObject]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return two mappings by object id: the ids of what the object is on, and the ids of what the object is in. Each
-    mapping has only the objects for which the source states this.
+    """Return two mappings from an object's id to the ids of other objects: those that the object is on, and those that
+    the object is in. Each mapping has only the objects for which the source states this.
     """
     links, of = _Links(), {item.object_id: item for item in objects}
     for item in objects:
@@ -161,8 +161,8 @@ def _measured(members: Sequence[SceneObject], links: _Links) -> None:
 
 
 def _resting(things: Sequence[SceneObject], boxes: F64, free: Sequence[int]) -> Iterator[tuple[int, int, float]]:
-    """Yield (object, support, share) by index, where share is the part of the object's footprint over the support.
-    Supports are larger than the object and just below it.
+    """Yield (object, support, share): the indices of an object and of a support, and the share of the object's
+    footprint that is over the support. Supports are larger than the object and just below it.
     """
     bearing = [(k, item) for k, item in enumerate(things) if item.label not in WITHOUT_TOP]
     tops = [(k, _mm(aabb_of(box_corners(part)))) for k, item in bearing for part in item.parts]

@@ -61,8 +61,8 @@ class MeshPart:
 
 @dataclass(frozen=True, slots=True)
 class SceneWarning:
-    """A warning about something missing or odd in the source: the `code` of the problem, its place, and how it was
-    handled.
+    """A warning about something missing or odd in the source: a `code` for the kind of problem, where the problem is,
+    and how it was handled.
     """
 
     code: str

@@ -54,7 +54,7 @@ class DrawnFile:
 
 
 def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
-    """Read the triangles of a file; its materials and textures are added to the builder."""
+    """Return the triangles of a file, and add the file's materials and textures to the builder."""
     painter = _Painter(part.look, builder)
     meshes = [[_faces(part, primitive, painter) for primitive in primitives] for primitives in part.meshes]
     world = _world(part)

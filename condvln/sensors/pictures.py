@@ -60,8 +60,8 @@ def coloured_instances(instance: npt.NDArray[np.integer]) -> Bytes:
 def contact_sheet(
     pictures: Sequence[Bytes], captions: Sequence[str], columns: int = 4, heading: Sequence[str] = ()
 ) -> bytes:
-    """Return a PNG file with the lines of `heading` at the top, and below them the pictures (h, w, 3), of equal size,
-    in rows, each with its caption.
+    """Return a PNG file that shows pictures (h, w, 3) of equal size in rows, each picture with its caption. The lines
+    of `heading` are at the top.
     """
     from PIL import Image, ImageDraw
 

@@ -82,8 +82,8 @@ class TextSensor:
     def observe(
         self, position: npt.ArrayLike, heading: float, *, seed: int = 0, names: Sequence[object] = ()
     ) -> TextObservation:
-        """Return what an agent sees whose feet are at `position` (3,), metres, and whose heading is in radians
-        counter-clockwise from −Z.
+        """Return what an agent sees from a pose: `position` (3,) of the agent's feet in metres, and `heading` in
+        radians counter-clockwise from −Z.
 
         Parameters
         ----------

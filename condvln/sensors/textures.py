@@ -1,4 +1,4 @@
-"""The textures of a scene, each in several mipmap levels, in one byte array."""
+"""The textures of a scene with all their mipmap levels, packed into one byte array."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Texels:
-    """The textures of a scene. The mipmap levels of each texture follow each other, each half the size of the one
-    before.
+    """The textures of a scene. The mipmap levels of a texture are stored one after the other; each level has half the
+    size of the previous level.
 
     data : (t,) red, green and blue of each texel, row by row from the top
     first_level, levels : (k,) index of the first level, and number of levels, of each texture

@@ -126,8 +126,8 @@ class BodyReader:
         return tuple(parts)
 
     def _rigid_mesh(self, template: Template, placed: Placed) -> str | None:
-        """Return the path of the body's render mesh, else that of its own collision mesh in the dataset; None if both
-        are missing.
+        """Return the path of the body's render mesh, else the path of the body's collision mesh; None if both are
+        missing.
         """
         render, collision = template.get("render_asset"), template.get("collision_asset")
         if render is None and template.path.endswith(_MESH_SUFFIX):

@@ -1,4 +1,4 @@
-"""The parts of each family's dataset, named as on its download pages, and a search for those that are on disk."""
+"""The kinds of files in each family's dataset, named as on the download pages, and the number of files on disk."""
 
 from __future__ import annotations
 

@@ -38,7 +38,9 @@ _COUNTED: Final = {
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseRegion:
-    """A region: its letter, level, floor corners (n, 2) as (x, y), floor height z and room height, in metres."""
+    """A region: its room type as the file's one-letter code, its level, its floor corners (n, 2) as (x, y), and the
+    heights of the floor (z) and of the room; metres.
+    """
 
     index: int
     level: int

@@ -1,4 +1,4 @@
-"""Surfaces of scenes with meshes: a scan that is a single mesh, or a stage and all bodies in place."""
+"""Surfaces of scenes with meshes: either a scan, which is a single mesh, or a stage with all bodies in place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RoboTHOR: apartments of movable walls, without annotated rooms."""
+"""RoboTHOR: apartments with movable walls and without annotated rooms."""
 
 from __future__ import annotations
 

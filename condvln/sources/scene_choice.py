@@ -21,7 +21,9 @@ class SceneChoice:
         return _fits(scene_id, self.scenes) and not self.excluded(scene_id)
 
     def excluded(self, scene_id: str) -> bool:
-        """Return whether an exclusion matches `scene_id`: a scene's id, or a path at which no scene could be listed."""
+        """Return whether an exclusion matches `scene_id`, which is a scene's id or a path at which no scene could be
+        listed.
+        """
         return _fits(scene_id, self.exclude)
 
     def only_names(self) -> bool:

@@ -41,7 +41,7 @@ _ASSETS: Final = (".glb",)
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """The value of an attribute, and the folder to which a path in it is relative."""
+    """The value of an attribute, and the folder to which a path in this value is relative."""
 
     node: JsonNode
     folder: str
@@ -138,8 +138,8 @@ class SceneDataset:
         return self._bodies[path]
 
     def scenes(self) -> dict[str, str]:
-        """Return the path of each scene instance by scene id. The id is the file's name; where several files have this
-        name, it includes the folder.
+        """Return the path of each scene instance by scene id. The id is the file's name, with the folder in front if
+        several files have the same name.
         """
         entries = [e for e in self._indices["scene_instances"].entries if e.made is None]
         times = Counter(e.handle for e in entries)
@@ -178,7 +178,7 @@ class SceneDataset:
         return None if section is None or name in ("paths", "configs", "default_attributes") else section.get(name)
 
     def described(self, kind: str, name: str) -> str | None:
-        """Return the path of the file named `name` on the search paths of a kind; None if there is none."""
+        """Return the path of the file named `name` on the search paths for this `kind`; None if there is none."""
         wanted = posixpath.basename(_stem(name, *_KINDS[kind]))
         return next((e.path for e in self._indices[kind].entries if e.handle == wanted), None)
 

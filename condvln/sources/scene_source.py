@@ -1,4 +1,6 @@
-"""Shared base of all readers: choosing scenes, recording inputs, and limiting faults to their own scene."""
+"""Shared base of all readers: it chooses scenes, records inputs, and keeps a fault in one scene from stopping the
+others.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The interface of all source families: it lists the scenes, each with its inputs, at little cost, and reads single
-scenes.
-"""
+"""The interface of all source families: list the scenes with their inputs, which is cheap, and read single scenes."""
 
 from __future__ import annotations
 
@@ -89,7 +87,7 @@ class Source(Protocol):
 
     @property
     def family(self) -> str:
-        """Name of the dataset family; the ``source=`` partition of its tables."""
+        """Name of the dataset family, which is also the ``source=`` partition of the dataset's tables."""
         ...
 
     @property

@@ -95,8 +95,9 @@ def wall_outline(outline: F64, standing: Sequence[SceneObject], fittings: Sequen
 
 
 def _both(fitted: float, end: float, border: float) -> bool:
-    """Return whether, along an axis that points into the room, the objects on a floor begin (at `end`) beyond the
-    floor's `border`, and a fitting begins (at `fitted`) at about the same place.
+    """Return whether the objects on a floor begin inside the floor's border, and a fitting begins at about the same
+    place as the objects. All three are positions along an axis that points into the room: `fitted` of the fitting,
+    `end` of the objects, `border` of the floor.
     """
     return border < end and fitted - end <= AT_WALL
 
@@ -118,7 +119,7 @@ def _built_in(kind: str, node: JsonNode) -> bool:
 
 
 def _wall(item: SceneObject, passages: F64) -> Piece | None:
-    """Return a wall that is an object in the metadata: its box along its longer side, with holes for open doors."""
+    """Return the surface of a wall that the metadata lists as an object: the wall's box, with holes for open doors."""
     box = item.box
     if box is None:
         return None

@@ -119,7 +119,9 @@ class _Search:
         self._replay()
 
     def decide(self, number: int) -> bool:
-        """Walk and turn until the evidence of a condition is seen; return whether it is."""
+        """Walk and turn until the evidence of a condition is seen, and return True. If the evidence can't be seen,
+        return False and leave the walk as it was.
+        """
         ways = self._observer.needs(self._program.conditions[number])
         before = len(self.actions)
         for way in ways:
@@ -153,7 +155,9 @@ class _Search:
         return self._known(need, target)
 
     def _face(self, need: SightNeed, target: SightTarget, wanted: Bools, number: int) -> None:
-        """Turn until the samples that are visible from here have been in view, by the shorter way first."""
+        """Turn by the shorter way to the middle of the `wanted` samples, then on in the same direction until all these
+        samples, or enough of the target, have been in view.
+        """
         middle = target.samples[wanted].mean(axis=0) - self.place
         off = (math.atan2(-middle[0], -middle[2]) - self.heading + math.pi) % (2 * math.pi) - math.pi
         turn = LEFT if off > 0 else RIGHT
@@ -165,8 +169,9 @@ class _Search:
             left -= 1
 
     def _place_to_see(self, need: SightNeed, target: SightTarget) -> F64 | None:
-        """Return the place from which enough of what was not seen is visible: the first on the way to a thing, else the
-        nearest around it; for a floor the place that shows most of it, less what the way costs.
+        """Return the place to which the agent walks to see a target; None if no place helps. For a thing it is the
+        first place on the way from which enough of the thing is visible, else the nearest such place around the thing.
+        For a floor it is the place that shows most of the unseen floor in relation to the length of the way.
         """
         least = self._least(need)
         if need[0] == "floor":
@@ -193,7 +198,9 @@ class _Search:
         return np.concatenate([middle + radius * around for radius in _RINGS])
 
     def _reachable(self, points: F64) -> tuple[F64, F64]:
-        """Return the points on the navmesh nearest to `points` that can be walked to, and the metres to each."""
+        """Snap `points` to the navmesh. Return the snapped points to which the agent can walk, and the metres to each.
+        Points where the agent already stands are left out.
+        """
         snapped = np.asarray(self._pathfinder.snap_points(points), np.float64)
         snapped = snapped[np.isfinite(snapped).all(axis=1)]
         if not len(snapped):
@@ -216,7 +223,9 @@ class _Search:
         return np.column_stack([np.interp(at, length, corners[:, axis]) for axis in range(3)]).reshape(-1, 3)
 
     def _share(self, target: SightTarget, places: F64, wanted: Bools) -> F64:
-        """Return the share (n,) of all samples that are among the `wanted` ones and visible from each place."""
+        """Return for each place (n,) the share of the samples of a target that are both `wanted` and visible from the
+        place.
+        """
         if not len(places):
             return np.zeros(0)
         return np.asarray((self._visible(target, places) & wanted).mean(axis=1))
@@ -248,7 +257,7 @@ class _Search:
         self._replay()
 
     def _replay(self) -> None:
-        """Take the poses from the actions, as every reader of the walk does."""
+        """Compute the poses by executing all actions from the start, as every reader of the walk does."""
         walk = self._follower.walk(self._start, self._first, self.actions)
         self._places, self._headings = walk.positions.astype(np.float64), walk.headings
         self.place, self.heading = self._places[-1], float(self._headings[-1])

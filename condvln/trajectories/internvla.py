@@ -29,7 +29,8 @@ _DEPTH: Final = "observation.images.depth"
 
 @contextmanager
 def internvla_n1(folder: Path, split: str, cameras: Cameras) -> Iterator[AddScene]:
-    """Write one LeRobot v2.1 folder for each scene below ``internvla-n1/``; the images in it are links to the hub's.
+    """Write one LeRobot v2.1 folder for each scene below ``internvla-n1/``; the images in these folders are links to
+    the hub's images.
 
     The level camera is the hub's main one if its height is the same.
     """

@@ -25,7 +25,7 @@ def licences(families: Iterable[str]) -> dict[str, dict[str, Any]]:
 
 
 def refuse_unlicensed(families: Iterable[str]) -> None:
-    """Refuse to make images of families whose terms forbid to pass them on.
+    """Refuse to make images of scenes if the terms of their family do not allow images to be passed on.
 
     Raises
     ------

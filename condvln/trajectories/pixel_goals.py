@@ -18,7 +18,9 @@ F64 = NDArray[np.float64]
 
 
 class PixelGoal(NamedTuple):
-    """Column and row in the image, and the number of frames until the place is reached."""
+    """A pixel goal: the column and row of a place in the image, and the number of frames until the walk reaches the
+    place.
+    """
 
     column: int
     row: int

@@ -58,7 +58,7 @@ class RecipeRecord(BaseModel):
 
 
 class RecipeScene(NamedTuple):
-    """Numbers of episodes, and of frames that are rendered, of one scene of a recipe."""
+    """The size of one scene of a recipe: its number of episodes, and the number of frames to render."""
 
     episodes: int
     frames: int
@@ -90,7 +90,7 @@ class Recipe:
 
     @cached_property
     def scenes(self) -> dict[tuple[str, str], RecipeScene]:
-        """The scenes by family and id, counted.
+        """The scenes of the recipe by (family, id), each with its numbers of episodes and frames.
 
         Raises
         ------

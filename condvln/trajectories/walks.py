@@ -109,7 +109,7 @@ def folder_name(episode: ManifestEpisode, kind: WalkKind = "gold", number: int =
 
 
 def leaf_stops(episode: ManifestEpisode, leaf: int) -> F64:
-    """Return the stops (s, 3) of a leaf: its subgoals, and last the goal point at which its path ends."""
+    """Return the stops (s, 3) of a leaf: its subgoals, followed by the goal point at which the leaf's path ends."""
     found = next(one for one in episode.leaves if one.leaf == leaf)
     goals = np.array(found.goals, np.float64)
     goal = goals[np.square(goals - np.array(found.reference_path[-1])).sum(axis=1).argmin()]

@@ -1,5 +1,4 @@
-"""Check that an export is complete: every file is as its index lists it, and there are as many episodes as the index
-says.
+"""Check that an export is complete: its files and numbers of episodes are those that the export's index lists.
 
 Proofs of single episodes say nothing about missing ones. This compares the folder with ``export.json``.
 """

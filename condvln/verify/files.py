@@ -121,7 +121,7 @@ class _SplitCursor:
         return Row(self.split, row, self._records.pop(str(row.episode_id)), self._truths.pop(str(row.episode_id)))
 
     def close(self) -> None:
-        """Record entries of the other files that are not in the manifest."""
+        """Record the entries of the VLN-CE and ground-truth files for which the manifest has no row."""
         for kind, lookup in (("record", self._records), ("ground_truth", self._truths)):
             for name in lookup.rest():
                 self._unread.append(Unread(self.split, name, kind, "no such episode in the manifest", name))

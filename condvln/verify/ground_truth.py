@@ -51,7 +51,9 @@ def check_truth(
 
 
 def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, certificate: Certificate) -> None:
-    """Check that actions contain one STOP, as the last action, and lead past the subgoals in order to the goal."""
+    """Check that the only STOP is the last action, that the actions use at most half of the step budget, and that they
+    lead past each subgoal in turn and then to the goal.
+    """
     stops = np.flatnonzero(taken == STOP).tolist()
     certificate.same("ground_truth", stops, [len(taken) - 1], "places of STOP")
     certificate.holds(

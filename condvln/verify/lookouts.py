@@ -27,7 +27,7 @@ rounded.
 
 
 def stands(paths: Sequence[F64]) -> list[F64]:
-    """Return the positions (n, 3), the start first, at which the agent looks around before its paths diverge.
+    """Return the positions (n, 3), the start first, at which the agent looks around before the paths diverge.
 
     If the shared length is a multiple of `EYE_SPACING` up to rounding, there are two possible divisions, and both are
     returned.
@@ -68,7 +68,7 @@ def _walked(path: F64) -> F64:
 
 
 def _at(path: F64, walked: F64, metres: F64) -> F64:
-    """Return the positions (k, 3) on a path at distances `metres` (k,) from its start along the path. `walked` (n,) are
-    the distances of its corners.
+    """Return the positions (k, 3) on a path after `metres` (k,) walked from the path's start. `walked` (n,) are the
+    walked distances of the path's corners.
     """
     return np.stack([np.interp(metres, walked, path[:, axis]) for axis in range(3)], axis=1)

@@ -73,7 +73,7 @@ def check_observability(
     referents: SceneReferents,
     eye_height: float,
 ) -> None:
-    """Check the evidence of all episodes of one scene, after their positions were checked."""
+    """Check the evidence of all episodes of one scene. The positions of the episodes must already have been checked."""
     asked = []
     for row, certificate in zip(rows, certificates, strict=True):
         if row.observability is None or any(d.fact in RESTS_ON for d in certificate.disagreements):
@@ -167,8 +167,8 @@ def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: 
 
 
 def _shares(sight: Sight, proofs: Proofs, eyes: F64) -> dict[str, Any]:
-    """Return for each target two shares of visible points: of the points that this package chose itself, and of the
-    published points. A floor has only one set of points.
+    """Return for each target the shares of its sample points that are visible from `eyes`: first of the points that
+    this package chose itself, then of the published points. A floor has only one set of points.
     """
     things = sorted({thing for way in proofs for thing in way})
     return {f"{kind} {name}": sight.shares((kind, name), eyes) for kind, name in things}

@@ -123,7 +123,7 @@ def phrasebook(code: str = "en") -> Phrasebook:
 
 
 def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
-    """Return all phrases of a slot in all voices."""
+    """Return all phrases of a slot: those that all voices share, and those of each single voice."""
     voices = document["voices"].values()
     return list(dict.fromkeys(phrase for said in (document["phrases"], *voices) for phrase in said.get(slot, ())))
 

@@ -15,7 +15,9 @@ __all__ = ["Moves", "Named", "Phrase", "PhraseReader"]
 
 
 class Named(NamedTuple):
-    """A room as named in text: its type, and the label of the object that distinguishes it."""
+    """A room as named in text: the room type, and the label of the object by which the text tells the room from others
+    ("the bedroom with the desk").
+    """
 
     label: str
     anchor: str | None
@@ -175,8 +177,8 @@ class PhraseReader:
                     yield end, before.pop()
 
     def _in_its_room(self, at: int) -> Iterator[tuple[int, str, Named]]:
-        """Parse a noun behind that of its room: "the kitchen sink". Yield (end, label, room). A noun of two words, such
-        as "the kitchen cabinet", is the longer and therefore the better reading.
+        """Parse a room followed by the noun of an object in this room, as in "the kitchen sink". Yield (end, label,
+        room). Words that are also a single noun, such as "the kitchen cabinet", are left out.
         """
         for start, _, classes in self._of(at, "the"):
             longest = max((end for end, _ in self._agreeing(start, "noun", classes)), default=start)

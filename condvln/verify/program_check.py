@@ -73,8 +73,8 @@ def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
 
 
 def _depth(program: Program, at: int) -> int:
-    """Return the greatest depth to which tests are nested in THEN parts, from the test at index `at` on; 1 if no
-    further test follows that one.
+    """Return how deep tests are nested in THEN parts, counted from the test at index `at`. The depth is 1 if no test is
+    in the THEN part of another test, and 0 if `at` is negative (a leaf).
     """
     if at < 0:
         return 0

@@ -1,4 +1,6 @@
-"""Resolve the phrases of a text in a scene: rooms, objects, and whether what is claimed of them is true."""
+"""Resolve the phrases of a text in a scene: which rooms and objects the phrases mean, and whether the claims about
+these are true.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,7 @@ class SceneReferents:
 
     @property
     def single_room(self) -> bool:
-        """Whether the scene is one room, so that texts need not name it."""
+        """Whether the scene is one room, so that texts need not name the room."""
         return len(self.rooms) == 1
 
     def _label(self, item: SceneObject) -> str:
@@ -406,8 +408,8 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
 
 
 def _not_one(view: RoomView, thing: Thing) -> Problem | None:
-    """Return a problem if an object may be the same as another box, or may not be what people expect under its name;
-    else None.
+    """Return a problem if an object and another box may be the same real object, or if people may not recognise the
+    object by its name; else None.
     """
     if not view.is_clear(thing):
         return Problem("referent_clear", f"surely a {thing.label} of this room", thing.object_id)

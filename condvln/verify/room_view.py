@@ -1,5 +1,5 @@
-"""A room and its objects as words refer to them: which objects a label might mean, which are visible, and which labels
-are known to be absent.
+"""One room with its objects, and what words may mean there: which objects a label might mean, which of them are
+visible, and which labels are known to be absent.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ class RoomView:
         return thing.object_id not in self._unclear
 
     def has_twin(self, thing: Thing) -> Thing | None:
-        """Return another object of the scan that `thing` can't be compared with by size, since one of the two may be
-        scanned only in part; None if there is none.
+        """Return another visible object that a word for `thing` might mean and whose size can't be compared with the
+        size of `thing`, since one of the two may be scanned only in part; None if there is none.
         """
         others = (x for x in self.meant(thing.label) if x is not thing and may_be_twins(thing, x, self._family))
         return next(others, None)
@@ -170,5 +170,7 @@ def longest_side(thing: Thing) -> float | None:
 
 
 def model_of(item: SceneObject) -> str:
-    """Return the model name of an object, if its id consists of this name and the number of the copy."""
+    """Return the model name in an object's id, if the id consists of a model name and the number of the copy; else an
+    empty text.
+    """
     return item.object_id.rpartition(":")[0]

@@ -149,8 +149,8 @@ class Sight:
         )
 
     def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
-        """Cast the lines of sight of all `wanted` (target, eyes (n, 3)) together. Those whose result is cached are
-        skipped.
+        """Cast the lines of sight of all `wanted` pairs, (target, eyes (n, 3)), together. Lines whose result is cached
+        are skipped.
         """
         places: dict[Sought, dict[bytes, F64]] = {}
         for sought, eyes in wanted:
@@ -176,8 +176,8 @@ class Sight:
         self._cast(looks)
 
     def _cast(self, looks: Sequence[_Look]) -> None:
-        """Test which of the points in range are not occluded, store the result in `seen` of each of `looks`, and cache
-        it.
+        """Test which of the points in range are not occluded. Store the results in `seen` of each of `looks`, and in
+        the cache.
         """
         if not looks:
             return
@@ -217,8 +217,8 @@ class Sight:
         return seen
 
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether enough points of a target are visible; a point counts if any of the eyes (n, 3) sees it. With
-        a `yaw`, there must be one eye, which looks in that direction.
+        """Return whether enough points of a target are visible; a point counts if any of the eyes (n, 3) sees it. If
+        `yaw` is given, there must be only one eye, and it looks in the direction `yaw`.
         """
         where = self._where(sought)
         return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
@@ -323,8 +323,8 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
 @lru_cache(maxsize=16)
 def much(least: float, count: int) -> float:
-    """Return the share of one set of `count` points that must be visible to contradict another set of points on the
-    same surface, if the visible share of the other set is below `least`.
+    """Return the visible share from which one set of `count` points contradicts another: both sets lie on the same
+    surface, and the visible share of the other set is below `least`.
 
     If both sets were random points on the same surface, such a pair would occur with a probability of at most `ODDS`;
     both sets are spread more evenly than random ones. A result above 1 means that no share is a contradiction.
@@ -342,7 +342,9 @@ def much(least: float, count: int) -> float:
 
 
 def _boxes(item: SceneObject) -> list[tuple[F64, F64, F64]]:
-    """Return centre, half extents and axes (columns) of each part of an object, else of its tightest known box."""
+    """Return (centre, half extents, axes as columns) of each of an object's boxes: the boxes of its parts or, if it has
+    no parts, its tightest known box; empty if no box is known.
+    """
     if item.parts:
         return [(part.center, part.half_extents, part.rotation) for part in item.parts]
     if item.obb is not None:

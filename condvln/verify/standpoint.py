@@ -82,8 +82,8 @@ class Standpoint(NamedTuple):
 
 
 def _off(point: _Point) -> float:
-    """Return by how many degrees a point lies to the side of a direction. The point is given as by `_seen`: (forwards
-    in the direction, sideways to the right).
+    """Return the angle in degrees between a direction and the line to a point. `point` is what `_seen` returns for the
+    point: (forwards in the direction, sideways to the right).
     """
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 

@@ -1,5 +1,5 @@
-"""Decide whether an object is on, in, under, above or higher than another one. The decision uses boxes, possible
-support, and the source's statements. For an object of several pieces, each piece is tested separately.
+"""Decide whether an object is on, in, under, above or higher than another one. The decision uses boxes, which object
+may support which, and the source's statements. For an object of several pieces, each piece is tested separately.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ def is_on(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> J
 
 
 def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "on": that of the boxes (`found`), or that of the source if the boxes leave it open. If
-    source and boxes contradict each other, the verdict is undecided.
+    """Return the judgement on "on". It is `found`, the judgement by the boxes, with two exceptions. If the source
+    states that the subject is on the anchor, the verdict is true, but undecided if `found` is false. If `found` is
+    undecided and the source states another place, the verdict is false.
     """
     if room.is_said_on(subject, anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)
@@ -48,8 +49,9 @@ def as_said_on(found: Judgement, subject: Thing, anchor: Thing, room: Surroundin
 
 
 def as_said_in(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "in": that of the boxes (`found`), unless the source names the anchor as the subject's
-    container. Then the verdict is true, or undecided if the boxes contradict the source.
+    """Return the judgement on "in". It is `found`, the judgement by the boxes, unless the source states that the
+    subject is in the anchor, and the anchor can be looked into. In this case the verdict is true, but undecided if
+    `found` is false.
     """
     if room.is_said_in(subject, anchor) and _can_be_looked_into(anchor):
         return found._replace(verdict=UNDECIDED if found.verdict == FALSE else TRUE)

@@ -42,7 +42,9 @@ class _Shape:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A placed shape: rotation (3, 3) and translation (3,); `bounds` (2, 3) enclose it, perhaps not tightly."""
+    """A shape that is placed in the scene by a rotation (3, 3) and a translation (3,). `bounds` (2, 3) enclose the
+    placed shape, perhaps not tightly.
+    """
 
     shape: _Shape
     rotation: F64

@@ -1,4 +1,6 @@
-"""The surroundings of an object in its room: the floor, its supports, and other objects that could be meant."""
+"""The surroundings of an object in its room: the height above the floor, the objects that it rests on or is inside of,
+and the distances to other objects.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ Said = Mapping[str, Sequence[tuple[str, bool]]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Thing:
-    """An object in numbers: centre and box corners (low, high) in whole millimetres, None if unknown.
+    """An object with its label, its centre, and the corners (low, high) of its box in whole millimetres; `box` is None
+    if unknown.
 
     pieces : its boxes if it has several (an L-shaped counter)
     """
@@ -70,7 +73,7 @@ class Thing:
 
 
 class Surroundings:
-    """A room and its objects, for questions about their surroundings.
+    """The objects of one room, to find out which of them support, surround or contain others.
 
     Parameters
     ----------
@@ -89,7 +92,9 @@ class Surroundings:
         self._said = said or {}
 
     def off_floor(self, thing: Thing) -> int | None:
-        """Return the height in millimetres of the object's bottom above the floor."""
+        """Return the height in millimetres of the object's bottom above the floor; None if one of the two heights is
+        unknown.
+        """
         return None if thing.box is None or self._floor is None else thing.box[0][1] - self._floor
 
     def is_said_on(self, upper: Thing, lower: Thing) -> bool:
@@ -101,7 +106,9 @@ class Surroundings:
         return (outer.object_id, True) in self._said.get(inner.object_id, ())
 
     def is_said_elsewhere(self, thing: Thing, other: Thing) -> bool:
-        """Return whether the source states where `thing` is, and this is a place other than in or on `other`."""
+        """Return whether the source states a place for `thing` that is not in or on `other`, directly or through
+        further objects.
+        """
         if not self._said.get(thing.object_id):
             return False
         receptacles = {x.object_id: x.item.receptacles or () for x in self._things}

@@ -183,9 +183,7 @@ def _phrase(named: Condition | ObjectRef, single_room: bool) -> Phrase:
 
 
 def _unplaced(phrase: Phrase, single_room: bool) -> Phrase:
-    """Return the phrase; if the scene is a single room, return it without the room, since a text need not name that
-    room.
-    """
+    """Return `phrase`, but without its room if the scene has only a single room: a text need not name that room."""
     return phrase._replace(room=None) if single_room and phrase.room is not None else phrase
 
 

@@ -80,7 +80,7 @@ class _State(NamedTuple):
 
 
 def read(text: str, code: str = "en") -> TextReading:
-    """Return the only reading of `text` in language `code`.
+    """Return the reading of `text`, which must have exactly one, in language `code`.
 
     Raises
     ------
@@ -104,7 +104,7 @@ _Function = tuple[tuple[Phrase, ...], tuple[Moves, ...], str | None]
 
 
 class _Reader(PhraseReader):
-    """All readings of one text."""
+    """Finds all readings of one text."""
 
     def __init__(self, book: Phrasebook, text: str) -> None:
         super().__init__(book, text)
@@ -123,7 +123,8 @@ class _Reader(PhraseReader):
     # -- sentences -----------------------------------------------------------------------------------------------------
 
     def _sentences(self, state: _State, base: int) -> Iterator[_State]:
-        """Parse clauses to the end of the text; `base` : the cases that the clauses of this sentence are about.
+        """Parse clauses to the end of the text. `base` holds the cases that the clauses of the present sentence are
+        about.
 
         More than half of all states are reached in several ways; what follows them is read once.
         """
@@ -192,7 +193,9 @@ class _Reader(PhraseReader):
                 yield from self._but(opened, within & guard, base)
 
     def _answered(self, state: _State, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse an answer after "if", and its consequences: "so", "there is one", "it isn't", "neither is true"."""
+        """Parse an answer that follows "if" ("so", "there is one", "it isn't", "neither is true"), and the consequences
+        of this answer.
+        """
         for slot, answer, kind in _ANSWERS:
             for end, _, _ in self._of(state.at, slot):
                 for place, ask in enumerate(state.asks):
@@ -278,8 +281,9 @@ def _by_noun(what: Phrase, before: Phrase) -> bool:
 
 
 def _placed(state: _State) -> list[tuple[int, Moves]]:
-    """Return the rules of a whole text with the rooms of stops that are named without: the room in which the text names
-    such a stop, or an anchor of it, elsewhere, if that is one room; and the same for the stops after it.
+    """Return the rules of a whole text, with a room filled in for stops that are named without a room. The first stop
+    of a rule gets the room in which the text names this stop or one of its anchors elsewhere, if there is exactly one
+    such room. A later stop gets the room of the stop before it.
     """
     rooms: dict[str, set[Named]] = {}
     for phrase in [*state.named, *(stop for _, moves in state.rules for stop in moves)]:

@@ -1,4 +1,5 @@
-"""Prove the layouts of a folder of trajectories: each row, image and video is computed again from the hub and compared.
+"""Prove the layouts of a folder of trajectories: each row, image and video is computed again from the hub (the images
+and poses that all layouts share) and compared.
 
 The rules are those of the agents' loaders (``docs/training.md``), written here a second time.
 """
@@ -33,7 +34,9 @@ _DOWN: Final = "125cm_30deg"
 
 
 class LayoutProof:
-    """Rows that were compared, by layout, and what differs: (walk, what)."""
+    """The result of proving layouts: how many rows were compared, by layout, and each difference as (walk, what
+    differs).
+    """
 
     def __init__(self) -> None:
         self.rows: dict[str, int] = {}
@@ -77,7 +80,9 @@ def _navila(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProof)
 
 
 def _navila_rows(walk: Row) -> Iterator[dict[str, Any]]:
-    """Yield a row for each step: up to three equal actions without a mistake among them; STOP is alone."""
+    """Yield the rows of a walk in NaVILA's layout: the row of each step, as many times as `repeats` says. A step is up
+    to three equal actions in a row, none of them a mistake; STOP is a step of its own.
+    """
     actions, repeats = walk["actions"], walk["repeats"]
     at = 0
     while at < len(actions):
@@ -179,7 +184,7 @@ def _is_uninavid(entry: Row, walk: Row, at: int, video: str, answer: str) -> boo
 
 
 def _reduced(path: Path) -> bytes:
-    """Return an image at half its size, as the videos have it."""
+    """Return an image reduced to half its size, as a JPEG, which is how Uni-NaVid's videos contain it."""
     from PIL import Image
 
     with Image.open(path) as image:
@@ -191,7 +196,9 @@ def _reduced(path: Path) -> bytes:
 
 
 def _frames_of(video: bytes) -> list[bytes]:
-    """Return the samples of an MP4 file with one track whose samples are in one piece, in order."""
+    """Return the samples (frames) of an MP4 file, in order. The file must have one track, whose samples follow each
+    other without gaps.
+    """
     data, sizes = b"", []
     inside = [(0, len(video))]
     while inside:
@@ -303,7 +310,9 @@ def _is_internvla(table: pa.Table, walk: Row, poses: Sequence[Row], number: int,
 
 
 def _looking_down(pose: Row) -> np.ndarray[Any, Any]:
-    """Return the matrix (4, 4) from the camera (x right, y down, z ahead) to Habitat's frame."""
+    """Return the matrix (4, 4) that transforms points from the frame of a pose's camera (x right, y down, z ahead) to
+    Habitat's frame.
+    """
     turn, pitch = pose["heading"], math.radians(pose["look_down"])
     ahead = np.array([-math.sin(turn) * math.cos(pitch), -math.sin(pitch), -math.cos(turn) * math.cos(pitch)])
     right = np.array([math.cos(turn), 0.0, -math.sin(turn)])
@@ -314,7 +323,9 @@ def _looking_down(pose: Row) -> np.ndarray[Any, Any]:
 
 
 def _linked(folder: Path, place: Path, wanted: Mapping[str, str], walk: str) -> Faults:
-    """Yield the files of `place` that are not, or do not equal, the hub's images that they stand for."""
+    """Yield (walk, what is wrong) for the files of the folder `place`. `wanted` gives for the name of each file the
+    path of the hub's image that the file must be or equal.
+    """
     found = {entry.name for entry in place.iterdir()}
     if found != wanted.keys():
         yield walk, f"{place.relative_to(folder)}: the files are not the walk's frames"

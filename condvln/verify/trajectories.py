@@ -55,7 +55,7 @@ class TrajectoryFault:
 
 @dataclass(frozen=True)
 class TrajectoryWorld:
-    """What walks are compared with.
+    """What a folder's walks are compared with: the published episodes, and each scene's navmesh and images.
 
     episodes : the manifest's rows of the split, by episode id
     text : the instruction that a kind of walk of an episode has
@@ -72,7 +72,9 @@ class TrajectoryWorld:
 
 @dataclass
 class TrajectoryProof:
-    """Counts of what was checked, `layout_rows` by layout, and the faults."""
+    """How many walks, frames, images and layout rows were checked, how many images were rendered again, and which
+    faults were found.
+    """
 
     walks: int = 0
     frames: int = 0
@@ -216,7 +218,9 @@ class _Walk:
 
 
 class _Frames:
-    """The poses and images of one walk; `folder` is None for a recipe, which has no images."""
+    """Checks the poses and images of one walk. `folder` is None for a recipe, which is a folder of trajectories without
+    images.
+    """
 
     def __init__(
         self,
@@ -269,7 +273,8 @@ class _Frames:
 
     def _decisions(self, episode: ManifestEpisode) -> Iterator[str]:
         """Yield what is wrong with the order in which the walk looks for evidence and decides. Only an exploration walk
-        looks: for the conditions of the gold route in their order, then it walks to the gold leaf.
+        looks for evidence: first for the conditions of the gold route, in the order of the route; after that it walks
+        to the gold leaf.
         """
         frames = {row["frame"]: (row["leaf"], row["looks_for"]) for row in self._rows}
         if len({(row["frame"], row["leaf"], row["looks_for"]) for row in self._rows}) != len(frames):

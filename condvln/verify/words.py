@@ -100,8 +100,8 @@ class Words:
         return label in self._general_rooms
 
     def may_be(self, label: str, family: str, side: float | None) -> tuple[frozenset[str], bool]:
-        """Return the other labels that an object with this label may have, and whether the object may be anything of
-        its size.
+        """Return the other labels that an object with this label may have, and whether nothing but the object's size
+        limits what the object may be.
 
         side : its longest side in metres
         """

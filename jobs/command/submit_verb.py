@@ -45,7 +45,9 @@ def submit(
 
 
 def _check(context: typer.Context, verb: str, words: list[str]) -> None:
-    """Check the command line of the verb here, so that a job does not fail after waiting for a node."""
+    """Check the submitted verb's command line on this machine, so that its job does not fail only after waiting for a
+    node.
+    """
     from jobs.submit import VERBS
 
     if verb not in VERBS:

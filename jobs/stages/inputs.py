@@ -97,7 +97,8 @@ V = TypeVar("V")
 
 
 class _Latest(Generic[V]):
-    """A cache of one value, which stays valid as long as every request is made with the same parts.
+    """A cache of one value. The value is made from parts, and stays valid as long as each request comes with the same
+    parts.
 
     The stages of one scene follow each other in a process and read the same tables, so one is enough.
     """
@@ -159,7 +160,7 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
 
 
 def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:
-    """Cache the candidates that `table` was made of, so that the next stages of the scene need not parse it."""
+    """Cache the candidates that `table` was made of, so that the next stages of the scene need not parse the table."""
     _candidates.get((table, *wanted), lambda: candidates)
 
 

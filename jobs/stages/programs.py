@@ -40,8 +40,8 @@ __all__ = ["PriorsAggregate", "ProgramStage"]
 
 @dataclass
 class PriorsAggregate(Aggregate):
-    """Counts which labels are usual in which type of room, and how often a statement is true there, over all scenes of
-    all sources.
+    """Counts, for each type of room and over all scenes of all sources, how many rooms hold a label, and how often a
+    statement (such as "a pillow near the bed") is true.
     """
 
     thresholds: Thresholds

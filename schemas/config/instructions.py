@@ -192,7 +192,7 @@ class InstructionsConfig(WordingConfig):
 
     @property
     def wanted(self) -> tuple[InstructionCell, ...]:
-        """Return all cells of a scene, in the order of the categories."""
+        """Return the cells that are wanted of every scene, in the order of the categories."""
         return tuple(cell for category in CATEGORIES for cell in self.cells_of(category))
 
 
@@ -311,8 +311,8 @@ class SamplingConfig(Section):
         return cell.count * self.candidates_per_episode * (SEEN_FACTOR if cell.observability or cell.route else 1)
 
     def label_only(self, single_room: bool) -> float:
-        """Return the share of label-only conditions. They are drawn whatever their truth, so that a condition's kind
-        does not reveal its truth.
+        """Return the share of label-only conditions, which ask whether a room has an object of some label. They are
+        drawn regardless of their truth, so that a condition's kind does not reveal its truth.
         """
         return PRESENCE_MARGIN * self.presence_false_share if single_room else self.presence_share
 

@@ -86,8 +86,8 @@ _FROM_PATH, _FROM_REFERENCE, _FROM_BOTH = 0, 1, 2
 
 @compiled
 def _windowed(path: Points, reference: Points, low: Ints, high: Ints) -> tuple[float, Ints]:
-    """Return the DTW distance and the alignment, as (k, 2) pairs. Only the columns ``low[i] <= j < high[i]`` of row i
-    of the table are used.
+    """Return the DTW distance and the alignment, as (k, 2) pairs. In row i of the table, which belongs to point i of
+    the path, only the columns ``low[i] <= j < high[i]`` are used.
     """
     n = path.shape[0]
     starts = np.zeros(n + 1, np.int64)

@@ -27,7 +27,7 @@ AROUND: Final = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Here:
-    """Where the agent is: position (2,) in metres, heading in radians, the map, and the paths from there."""
+    """Where the agent is: position (2,) in metres, heading in radians, the map, and the paths from this position."""
 
     place: F64
     heading: float
@@ -36,7 +36,7 @@ class Here:
 
 
 class Explorer:
-    """Targets of exploration.
+    """Chooses the positions to which the agent goes to explore.
 
     Attributes
     ----------
@@ -53,7 +53,8 @@ class Explorer:
 
     def sought(self, move: Phrase, here: Here) -> F64 | None:
         """Return a position from which the agent may find the object of a stop. The object is known to exist, so rooms
-        that are already seen completely are searched again from half the distance; None if that is done too.
+        that are already seen completely are searched a second time, from half the distance. Return None if the second
+        search is complete too.
         """
         target = self.unseen(move, here)
         return self.unseen(move, here, self._close / 2) if target is None else target

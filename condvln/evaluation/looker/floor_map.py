@@ -109,7 +109,9 @@ class Ground:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ways:
-    """The cheapest paths from one position: `distance` (n, m) in cells, with higher cost near obstacles."""
+    """The cheapest paths from one position to all cells. `distance` (n, m) has their costs, in cells; a path near
+    obstacles costs more than its length.
+    """
 
     ground: Ground
     distance: NDArray[np.float32]

@@ -127,9 +127,9 @@ def _inside(thing: Thing, anchor: Thing) -> float:
 
 
 def _on(thing: Thing, anchor: Thing) -> float:
-    """Return the score of "on": `thing` lies over the anchor's footprint, and its bottom is at the anchor's top or
-    lower. The bottom may be below the anchor's top, since headboards and arm rests are higher than what a bed or sofa
-    carries.
+    """Return the score of "on". It is positive if `thing` lies over the anchor's footprint, and the bottom of `thing`
+    is at the anchor's top or lower. It may be lower than the top, since headboards and arm rests are higher than what a
+    bed or sofa carries.
 
     Text never denies a true "on".
     """

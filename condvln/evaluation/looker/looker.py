@@ -134,7 +134,9 @@ class Looker:
 
     @property
     def picked(self) -> int:
-        """Return the leaf that the answers so far lead to; what was seen so far answers the undecided conditions."""
+        """Return the leaf to which the answers so far lead; undecided conditions are answered from what was seen so
+        far.
+        """
         if self.leaf is not None:
             return self.leaf
         shape = SHAPES[self.reading.category]
@@ -272,8 +274,8 @@ class Looker:
         return best or (things[0] if things else self._fallback(move, None)), None
 
     def _closer(self, move: Phrase, things: Sequence[Thing], anchors: Sequence[Thing]) -> F64 | None:
-        """Return a position from which the agent may see an object that is closer to the anchor than all known ones;
-        None if the floor as far as the closest one was seen.
+        """Return a position from which the agent may see an object that is closer to the anchor than all known objects;
+        None if the agent has seen all floor that is as near to the anchor as the closest known object.
         """
         least = gap(ranked("closest to", things, anchors)[0], anchors[0])
         flat = np.concatenate([anchor.points[:, [0, 2]] for anchor in anchors])

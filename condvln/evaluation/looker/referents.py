@@ -68,7 +68,9 @@ class Referents:
         return [thing for thing in self.memory if thing.label == label and (rooms is None or thing.room in rooms)]
 
     def anchors(self, labels: Sequence[str], rooms: set[int] | None) -> tuple[Thing, ...] | None:
-        """Return for each label the object of which most was seen; None if one of them is unknown."""
+        """Return, for each label, the known object of which most was seen; None if no object is known for one of the
+        labels.
+        """
         found: list[Thing] = []
         for label in labels:
             known = [thing for thing in self.known(label, rooms) if thing not in found]

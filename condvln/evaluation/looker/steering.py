@@ -22,18 +22,18 @@ PATIENT: Final = 24
 
 
 class Steering:
-    """The way to one target after the other, and the progress on it."""
+    """Steers the agent to one target after another, and keeps track of its progress towards the current target."""
 
     def __init__(self) -> None:
         self._best, self._since = math.inf, 0
 
     def begin(self, step: int) -> None:
-        """Begin with another target at a step's number."""
+        """Begin with a new target; `step` is the number of the agent's current step."""
         self._best, self._since = math.inf, step
 
     def action(self, aim: F64, here: F64, heading: float, ground: Ground, ways: Ways, step: int) -> int | None:
-        """Return the action that leads from `here` (2,) towards a position; None if the position is unreachable, or if
-        the agent makes no progress.
+        """Return the action that leads from `here` (2,) towards the position `aim` (2,); None if `aim` is unreachable,
+        or if the agent makes no progress.
         """
         cell = ground.cell(float(aim[0]), float(aim[1]))
         path, length = ways.to(cell), float(ways.distance[cell])

@@ -1,4 +1,5 @@
-"""Write one GLB file from many parts: each file's meshes once, and a tree of nodes for each placement.
+"""Write one GLB file from many parts. The meshes of each source file are written once; each placement of a part has its
+own tree of nodes.
 
 The bytes depend on the calls only, not on time, machine or path.
 """
@@ -64,8 +65,8 @@ class GlbWriter:
         return self._triangles
 
     def add(self, part: GlbPart) -> GlbPart:
-        """Add the meshes of `part` to the scene. Return a copy of `part` whose mesh numbers are those of the scene, as
-        `place` needs it.
+        """Add the meshes of `part` to the scene. Return a copy of `part` that refers to its meshes by their numbers in
+        the scene; `place` expects this copy.
         """
         look = part.look
         first = {key: len(self._lists[key]) for key in ("materials", "textures", "samplers", "images")}

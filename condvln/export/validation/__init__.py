@@ -1,4 +1,4 @@
-"""A linter for VLN-CE, ANSR-v1, RxR and R2R files from any source: finds what crashes a strict loader or skews a
+"""A linter for VLN-CE, ANSR-v1, RxR and R2R files from any source. It finds what would crash a strict loader or skew a
 score.
 """
 

@@ -1,4 +1,4 @@
-"""The state that the linter keeps of a document after checking its episodes, and checks of single values."""
+"""What the linter keeps of a document for later checks, and functions that check single values."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Document:
     """Episode id by (scene, text, start)."""
 
     def merge(self, other: Document) -> None:
-        """Merge another document of the same split, such as a shard."""
+        """Merge another document of the same split, such as a shard, into this one."""
         self.vocabulary = self.vocabulary or other.vocabulary
         self.bert |= other.bert
         self.scenes |= other.scenes

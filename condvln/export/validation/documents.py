@@ -18,7 +18,7 @@ _TOP: Final = frozenset({"episodes", "instruction_vocab"})
 
 
 def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: PathfinderOf | None = None) -> Document:
-    """Check one document; with ``pathfinder_of`` also against navmeshes."""
+    """Check one document; if ``pathfinder_of`` is given, also check it against the navmeshes of its scenes."""
     episodes = content.get("episodes")
     if not isinstance(episodes, list):
         report.add("episodes", "wrong-type", "not a list")

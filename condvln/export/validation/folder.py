@@ -102,15 +102,15 @@ def _check_file(report: LintReport, file: Path, options: Options) -> Document | 
 
 
 def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:
-    """Yield the findings of ``report``, but not "no-episodes" if the split's episodes are in shards."""
+    """Yield the findings of ``report``, except "no-episodes" if the split's episodes are in shards."""
     has_shards = any((file.parent / _SHARDS).glob("*.json.gz"))
     return (finding for finding in report if not (has_shards and finding.code == "no-episodes"))
 
 
 def _joined(split: Document, shard: Document, file: str, *, shards: bool) -> Iterator[Finding]:
-    """Merge a file into its split. Yield a finding for each episode id that is in both if they are shards, and another
-    finding if the vocabularies differ. Without ``shards`` they are forms of one split, such as ``_raw`` and
-    ``_bertidx``, or guides and followers.
+    """Merge a file (`shard`) into its `split`, and yield a finding if their vocabularies differ. With `shards`, the
+    file is a shard, and each episode id that the split already has is a finding too. Without `shards`, the file is
+    another form of the same split, such as ``_raw`` and ``_bertidx``, or guides and followers.
     """
     for name in sorted(split.starts.keys() & shard.starts.keys() if shards else ()):
         yield Finding(file, f"episode {name}", "duplicate-id", f"id {name} is in another shard too", name)

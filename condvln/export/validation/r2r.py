@@ -47,14 +47,14 @@ def check_r2r(report: LintReport, items: list[Any], graphs: Mapping[str, GraphPa
 
 
 def _is_withheld(item: Any) -> bool:
-    """Return whether an item has no more than the start of its path, as all of R2R's test split."""
+    """Return whether an item states only the first viewpoint of its path, as every item of R2R's test split does."""
     return (
         isinstance(item, dict) and "distance" not in item and _is_path(item.get("path"), 1) and len(item["path"]) == 1
     )
 
 
 def _is_path(value: Any, least: int) -> bool:
-    """Return whether a value is a list of at least ``least`` viewpoints."""
+    """Return whether a value is a list of at least ``least`` viewpoint ids; any text counts as an id."""
     return isinstance(value, list) and len(value) >= least and all(isinstance(one, str) for one in value)
 
 

@@ -22,7 +22,7 @@ _DENSE: Final = 1.0
 
 
 def check_truths(report: LintReport, content: dict[str, Any], document: Document | None) -> None:
-    """Check one ground-truth document, also against its episodes if given."""
+    """Check one ground-truth document; if ``document`` is given, also compare it with the episodes of ``document``."""
     for name, truth in content.items():
         place = f"episode {name}"
         report.episode = name

@@ -139,8 +139,8 @@ def _best_heading(
     points: Floats,
     tried: Floats,
 ) -> tuple[int, np.float32, int]:
-    """Return the heading of the best step from ``point``, and the geodesic distance after this step. They are -1 and
-    infinite if there is no such step.
+    """Return the heading of the best step from ``point``, and the geodesic distance after this step. The results are -1
+    and infinity if no step is possible.
 
     The current heading is tried first if it is within one turn of the path's direction, then the headings nearest to
     that direction. The first with good progress is taken, otherwise the one with most progress. In the first case

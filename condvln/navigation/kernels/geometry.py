@@ -20,7 +20,9 @@ DEGENERATE_TRIANGLE = np.float32(1e-6)
 def point_to_segment(
     x: np.float32, z: np.float32, px: np.float32, pz: np.float32, qx: np.float32, qz: np.float32
 ) -> tuple[np.float32, np.float32]:
-    """Return the squared distance to the segment p–q, and the position of the nearest point along it (0 to 1)."""
+    """Return the squared distance from (x, z) to the segment p–q, and where on the segment the nearest point is (0 at
+    p, 1 at q).
+    """
     pqx = qx - px
     pqz = qz - pz
     dx = x - px

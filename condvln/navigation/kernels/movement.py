@@ -140,7 +140,9 @@ def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices,
 
 @compiled
 def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Floats) -> None:
-    """Write to ``reached`` the position where a move from ``start`` towards ``end`` ends: habitat-sim's ``tryStep``."""
+    """Move from ``start`` towards ``end`` as habitat-sim's ``tryStep`` does, and write the final position to
+    ``reached``.
+    """
     start_at = np.empty(3, np.float32)
     start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
     end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
@@ -268,7 +270,7 @@ def nearest_wall(
 
 @compiled
 def nearest_walls(mesh: QueryMesh, points: Floats, max_radius: np.float32) -> tuple[Floats, Floats, Floats]:
-    """Apply :func:`nearest_wall` to each of n points: distances (n,), hits (n, 3), normals (n, 3)."""
+    """Return what :func:`nearest_wall` gives for each of n points: distances (n,), hits (n, 3) and normals (n, 3)."""
     n = points.shape[0]
     distances = np.empty(n, np.float32)
     hits = np.empty((n, 3), np.float32)

@@ -227,8 +227,8 @@ def project(mesh: QueryMesh, points: Floats, island: int) -> tuple[Indices, Floa
 
 @compiled
 def navigable(mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, max_y_delta: np.float32) -> bool:
-    """habitat-sim's ``isNavigable``: whether the point snaps by at most ``max_y_delta`` in height and 1 cm
-    horizontally.
+    """Return whether snapping moves the point by at most ``max_y_delta`` metres in height and 1 cm horizontally, as
+    habitat-sim's ``isNavigable`` requires.
     """
     poly, sx, sy, sz = nearest_polygon(mesh, x, y, z, ANY_ISLAND)
     if poly == NO_POLYGON or abs(sy - y) > max_y_delta:
@@ -251,8 +251,8 @@ def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> n
 def top_down_view(
     mesh: QueryMesh, columns: int, rows: int, metres_per_pixel: np.float32, height: np.float32, eps: np.float32
 ) -> npt.NDArray[np.bool_]:
-    """Return a mask (rows, columns) of the points of a horizontal grid that are navigable: habitat-sim's
-    ``getTopDownView``. The grid begins at the mesh's lower bound; positions are accumulated in float32.
+    """Return a mask (rows, columns) of the navigable points of a horizontal grid: habitat-sim's ``getTopDownView``. The
+    grid begins at the mesh's lower bound; positions are accumulated in float32.
     """
     view = np.empty((rows, columns), np.bool_)
     z = mesh.grid[BMIN + 2]

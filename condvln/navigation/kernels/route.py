@@ -20,7 +20,7 @@ FUZZY = np.float32(1e-5)
 
 @compiled
 def _fuzzy_equal(a: np.float32, b: np.float32) -> bool:
-    """Magnum's ``TypeTraits<Float>::equals``."""
+    """Return whether two numbers are equal up to rounding errors: Magnum's ``TypeTraits<Float>::equals``."""
     if a == b:
         return True
     difference = abs(a - b)

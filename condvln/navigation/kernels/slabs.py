@@ -42,7 +42,7 @@ def blocked_looks(
     headroom: Doubles,
     touch: float,
 ) -> npt.NDArray[np.bool_]:
-    """Return a mask (k,) of the lines of sight that a box blocks.
+    """Return a mask (k,) of the lines of sight that at least one of the boxes blocks.
 
     A box that contains one of the ends blocks nothing, except the box that the point belongs to; a box with headroom
     also contains points up to that height above it. Hits within ``touch`` metres of an end do not count.

@@ -41,7 +41,7 @@ def _append(points: Floats, count: int, point: Floats) -> int:
 
 @compiled
 def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, end: Floats, points: Floats) -> int:
-    """Write the corners of the shortest path through the first ``size`` polygons of ``corridor`` to ``points``. The
+    """Write to ``points`` the corners of the shortest path through the first ``size`` polygons of ``corridor``. The
     path runs between the requested points, not the snapped ones.
 
     Returns the number of points, or 0 if they fill the buffer.

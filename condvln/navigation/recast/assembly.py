@@ -1,4 +1,6 @@
-"""Stage 12: assemble the Detour tile from both meshes (``dtCreateNavMeshData``), with the links that Habitat saves."""
+"""Stage 12: assemble the Detour tile from the polygon mesh and the detail mesh (``dtCreateNavMeshData``), with the
+links that Habitat saves.
+"""
 
 from __future__ import annotations
 

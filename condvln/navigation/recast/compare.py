@@ -81,7 +81,9 @@ def first_difference(first: Mapping[str, Array], second: Mapping[str, Array]) ->
 
 
 def compare_builds(first: BuildStages, second: BuildStages) -> Difference | None:
-    """Return the first difference between two builds, in the earliest stage that has one; None if they are equal."""
+    """Return the first difference between two builds, in the earliest stage in which they differ; None if they are
+    equal.
+    """
     return first_difference(first.arrays(), second.arrays())
 
 

@@ -190,7 +190,7 @@ def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, face
 @compiled
 def _collect(edges: Array, n_edges: int, faces: int, triangles: Array) -> int:
     """Collect the corners of each triangle from its edges and write them to ``triangles``; return the number of
-    complete triangles. An incomplete triangle is overwritten by the last one.
+    complete triangles. Each incomplete triangle is overwritten by the last triangle of the list.
     """
     for f in range(faces):
         triangles[f, 0] = triangles[f, 1] = triangles[f, 2] = -1

@@ -47,8 +47,8 @@ def distance_field(field: CompactHeightfield, area: Array) -> tuple[Array, int]:
 
 @compiled
 def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
-    """Return the distance of each span to the nearest border span, one that has fewer than four neighbours with its own
-    area id. This is a chamfer distance, computed in two passes.
+    """Return the distance of each span to the nearest border span. A border span has fewer than four neighbours with
+    its own area id. The distance is a chamfer distance, computed in two passes.
     """
     spans = len(area)
     distance = np.full(spans, far, np.int32)

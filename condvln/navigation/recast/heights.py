@@ -96,8 +96,8 @@ def _cell(i: int, box: Array, width: int, column: Array) -> int:
 
 @compiled
 def _nearest_span(box: Array, corners: Array, width: int, start: Array, floor: Array) -> int:
-    """Return the best of the spans beside the polygon's ``corners``: the span whose floor is nearest in height to the
-    corner that it is beside; -1 if there is none.
+    """Compare the spans beside each of the polygon's ``corners`` with this corner, and return the span with the least
+    difference in height; -1 if there are no such spans.
     """
     nearest = UNSET
     best = -1
@@ -129,8 +129,8 @@ def _seed(
     neighbour: Array,
     stack: Array,
 ) -> int:
-    """Return the span from which to fill the patch of a polygon that has no spans of its own region; -1 if there is
-    none. This is the span at which a walk from a vertex to the polygon's middle ends.
+    """Return the span from which to fill the patch of a polygon that has no spans of its own region. This is the last
+    span of a walk from one of the polygon's vertices towards its middle. Return -1 if no span is beside a vertex.
     """
     i = _nearest_span(box, corners, width, start, floor)
     if i < 0:

@@ -21,7 +21,8 @@ MAX_OUTLINE_STEPS = 40000
 def merge_regions(
     field: CompactHeightfield, area: Array, region: Array, count: int, min_area: int, merge_area: int
 ) -> tuple[Array, int]:
-    """Return the regions that remain, renumbered 1..n in the order of their first appearance.
+    """Drop or merge small regions. Return the remaining regions, renumbered 1..n in the order of their first
+    appearance.
 
     Parameters
     ----------
@@ -50,9 +51,9 @@ def merge_regions(
 
 
 def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[Array, Array, Array]:
-    """Return, for each region, the regions of the spans above and below its own spans (which may be the region itself):
-    one list, and the start and the length of each region's part of this list. Set ``overlaps`` for regions that have
-    two spans in one column.
+    """Return, for each region, the regions that have spans above or below the region's own spans; the region itself may
+    be among them. The result is one list of regions, and the start and the length of each region's part of this list.
+    Set ``overlaps`` for regions that have two spans in one column.
     """
     pairs = _column_pairs(start, region)
     pairs = np.unique(pairs[:, 0].astype(np.int64) * (count + 1) + pairs[:, 1])
@@ -117,8 +118,8 @@ def _survey(
 
 @compiled
 def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, out: Array) -> int:
-    """Write to ``out`` the adjacent regions along the outline that passes the edge of ``span`` in ``direction``; return
-    their number. A region is written wherever it differs from the region written before.
+    """Write to ``out`` the adjacent regions along the outline that contains the edge of ``span`` in ``direction``;
+    return their number. A region is written wherever it differs from the region written before.
     """
     first_span = span
     first_direction = direction

@@ -28,7 +28,7 @@ UNREACHED = 0xFFFF
 
 
 def watershed(field: CompactHeightfield, area: Array, distance: Array, highest: int) -> tuple[Array, int]:
-    """Partition the walkable spans.
+    """Partition the walkable spans into regions.
 
     Parameters
     ----------
@@ -195,8 +195,9 @@ def _flood(
     reach: Array,
     stack: Array,
 ) -> bool:
-    """Assign to the region ``new_id`` the basin around ``seed``, which extends one level (two half cells) below
-    ``level``. Spans adjacent to other regions are left free; return whether the region has any span.
+    """Assign the basin around ``seed`` to the region ``new_id``. The basin extends one level (two half cells) below
+    ``level``; spans of the basin that are adjacent to other regions are left free. Return whether the new region has
+    any span.
     """
     floor = max(level - 2, 0)
     region[seed] = new_id

@@ -64,8 +64,8 @@ def _blocks_in_view(
 
 @compiled
 def _image_bounds(v: Doubles, near: float, tan_x: float, tan_y: float) -> tuple[float, float, float, float]:
-    """Return the minimum and maximum x, then y, of the part of the triangle `v` in front of the near plane. The unit is
-    half the image's width or height.
+    """Return the bounds in the image (least x, greatest x, least y, greatest y) of that part of the triangle `v` which
+    is in front of the near plane. The unit is half the image's width for x, and half its height for y.
     """
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Distances between the leaves of each row, over all rows of a scene."""
+"""Distances between the leaves of each episode (a row of the manifest), for all episodes of a scene at once."""
 
 from __future__ import annotations
 
@@ -49,8 +49,9 @@ def clearances(corners: F64, corner_ends: I64, goals: F64, goal_ends: I64, row_e
 
 @compiled
 def near_goals(goals: F64, goal_ends: I64, row_ends: I64, within: float) -> I64:
-    """Return the pairs of goals that are less than `within` metres apart and belong to different leaves of one row.
-    Each row of the result (k, 4) is: leaf, later leaf, goal of the first, goal of the second.
+    """Return the pairs of goals that are less than `within` metres apart and belong to different leaves of one episode.
+    The result (k, 4) has one line for each pair: leaf, later leaf, goal of the first leaf, goal of the second leaf; all
+    are indices.
     """
     found = np.empty((16, 4), dtype=np.int64)
     count = 0
