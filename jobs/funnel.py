@@ -107,7 +107,9 @@ class Flow:
 
 @dataclass
 class Funnel:
-    """Flows by scene and by (source, cell). `barren` maps each scene without episodes to the reason."""
+    """How many candidates each step kept and rejected, by scene and by (source, cell). `barren` maps each scene without
+    episodes to the reason.
+    """
 
     scenes: dict[str, Flow]
     cells: dict[tuple[str, str], Flow]

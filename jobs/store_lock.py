@@ -43,8 +43,8 @@ def alone(state: Path, name: str) -> Iterator[bool]:
 
 @contextmanager
 def alone_in_store(config: Config) -> Iterator[None]:
-    """Hold the lock of the configuration's name in its store. Raises ``StoreError`` when another command on this
-    machine holds it.
+    """Hold the lock on the configuration's name in its store. Raises ``StoreError`` when another command on this
+    machine holds this lock.
     """
     with alone(local_state(config.store), config.name) as held:
         if not held:

@@ -18,7 +18,7 @@ __all__ = ["Comparison", "recipe_target", "recipe_units", "scene_files"]
 
 
 def recipe_target(recipe: Recipe, scenes: tuple[str, ...]) -> Target:
-    """Return the target of a recipe: its split, and the datasets in which its scenes are seen.
+    """Return the target of a recipe: the split of the recipe, and the datasets from which the scenes are read.
 
     scenes : ``FAMILY=FOLDER`` each
     """

@@ -211,7 +211,9 @@ class _Fits:
         return new
 
     def _shares(self, weights: F64) -> F64:
-        """Return the probability of each class for each text that a fit learns from, else 0."""
+        """Return, for each fit, the probability of each class for each text; 0 for texts that the fit does not learn
+        from.
+        """
         scores = self.scores(weights)
         odds = np.exp(scores - scores.max(axis=1, keepdims=True))
         found: F64 = odds * (self.inside / odds.sum(axis=1, keepdims=True))

@@ -280,7 +280,9 @@ ORACLE_TEXT: Final = " (oracle text)"
 
 
 def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
-    """Return all tables of one evaluation; an axis without known values has no table."""
+    """Return all tables that compare agents, with one of `evaluations` for each agent. An axis without known values has
+    no table.
+    """
     tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
     for axis in AXES[2:]:  # source is in the main table, and scene would fill pages
         if any(value is not None for evaluation in evaluations for value in evaluation.axes[axis]):

@@ -80,8 +80,8 @@ def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, t
 
 
 def _lowered(of_false: int, of_true: int) -> tuple[float, float]:
-    """Return one factor for `of_false` and one for `of_true`, none above 1, that make the two sums equal; both factors
-    are 0 if either sum is 0.
+    """Return a factor for each of the sums `of_false` and `of_true`, neither above 1, so that the scaled sums are
+    equal. Both factors are 0 if either sum is 0.
     """
     less = min(of_false, of_true)
     return (less / of_false, less / of_true) if less > 0 else (0.0, 0.0)

@@ -363,7 +363,9 @@ class Renderer:
         return "".join(texts)
 
     def _is_elsewhere(self, room: RoomRef, asked: str | None) -> bool:
-        """Return whether the last question was about another room than the stops, in a language without "there"."""
+        """Return whether the last question, if any, was about a room other than `room`, and `room` has a plain name.
+        Then "there" would be unclear.
+        """
         return asked not in (None, room.room_id) and room.anchor_label is None
 
     def _stop(self, ref: ObjectRef, *, behind: bool = False, same_room: bool = False) -> str:

@@ -1,4 +1,4 @@
-"""Shortest paths over viewpoint graphs with the pathfinder protocol, and folders of graphs."""
+"""Shortest paths over viewpoint graphs, by the methods of the pathfinder protocol; and folders of such graphs."""
 
 from __future__ import annotations
 

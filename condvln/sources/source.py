@@ -96,7 +96,9 @@ class Source(Protocol):
         ...
 
     def handles(self) -> list[SceneHandle]:
-        """Return the selected scenes, sorted by id. Reads no geometry; a scene that can't be listed has a fault."""
+        """Return the selected scenes, sorted by id. No geometry is read. The handle of a scene that can't be listed has
+        the reason as its fault.
+        """
         ...
 
     def scene_ids(self) -> list[str]:

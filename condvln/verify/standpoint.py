@@ -71,8 +71,8 @@ class Standpoint(NamedTuple):
         return found._replace(numbers={**found.numbers, "degrees_off": round(off, 3)})
 
     def _seen(self, x: float, z: float, direction: str) -> _Point:
-        """Return how far a point lies from the start in millimetres: (forwards in the direction, sideways to the
-        right).
+        """Return a point's offset from the start in millimetres, as seen when facing `direction`: (distance ahead,
+        distance to the right).
         """
         dx, dz = x - self.x, z - self.z
         ahead = dx * self.forward[0] + dz * self.forward[1]
@@ -83,7 +83,7 @@ class Standpoint(NamedTuple):
 
 def _off(point: _Point) -> float:
     """Return the angle in degrees between a direction and the line to a point. `point` is what `_seen` returns for the
-    point: (forwards in the direction, sideways to the right).
+    point: (distance ahead, distance to the right).
     """
     return math.degrees(math.atan2(abs(point[1]), point[0]))
 

@@ -324,6 +324,6 @@ class TextConfig(Section):
     steps_per_word: int = Field(
         20,
         ge=1,
-        description="number of steps for each word in a proportional step budget, unless twice the number of "
-        "ground-truth actions is larger",
+        description="steps for each word of the text in a proportional step budget; the budget is never less than "
+        "twice the number of ground-truth actions",
     )

@@ -73,7 +73,7 @@ def _is_bert(tokens: list[int]) -> bool:
 
 
 class EpisodeChecks:
-    """Checks the episodes of a document one after the other; what later checks need goes into ``document``."""
+    """Checks the episodes of a file in turn, and adds what later checks need to ``document``, the file's record."""
 
     def __init__(
         self,
