@@ -59,7 +59,7 @@ def test_nothing_is_seen_nearer_than_the_agents_radius(worlds: list[World]) -> N
 def test_evidence_in_view_has_pixels(worlds: list[World]) -> None:
     scenes: list[Scene] = [world.scene for world in worlds]
     priors = label_priors(scenes)
-    wanted = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 4), counterfactual_groups=0)
+    wanted = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 6), counterfactual_groups=0)
     found = []
     for world in worlds:
         number = {item.object_id: k + 1 for k, item in enumerate(world.scene.objects)}
