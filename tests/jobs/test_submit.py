@@ -19,7 +19,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-import condvln
+from condvln.kernel_cache import cache_folders
 from jobs.command import app
 from jobs.configuration import load_config
 from jobs.ray_jobs import RayJobs
@@ -253,9 +253,8 @@ def test_the_launcher_falls_back_on_path_and_says_what_is_missing(
 
 
 def _kernels() -> dict[Path, int]:
-    """Indexes of compiled kernels beside the sources and when each was written, which is when a kernel compiled."""
-    package = Path(condvln.__file__).parent
-    return {path: path.stat().st_mtime_ns for path in package.rglob("*.nbi")}
+    """Files of compiled kernels, with their inodes: a kernel that is compiled again is written to a new file."""
+    return {path: path.stat().st_ino for path in next(cache_folders(_kernels)).glob("*.nbc")}
 
 
 @pytest.fixture
