@@ -16,12 +16,13 @@ import hashlib
 import os
 import pickle
 import platform
+import secrets
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any, Final
 
 import llvmlite
@@ -175,13 +176,15 @@ def _names(code: CodeType) -> set[str]:
 def _code(code: CodeType, doc: str | None = None) -> object:
     consts = [_code(const) if isinstance(const, CodeType) else _value(const) for const in code.co_consts]
     if doc is not None and code.co_consts and code.co_consts[0] == doc:
-        consts[0] = _value(None)  # what stands there without a docstring
+        consts[0] = _value(None)  # as in a function without a docstring
     variables = (code.co_varnames, code.co_freevars, code.co_cellvars, code.co_argcount, code.co_kwonlyargcount)
     return code.co_code.hex(), consts, code.co_names, variables, code.co_flags
 
 
 def _value(value: object) -> object:
-    """Return the content of a value that a kernel uses, as plain data whose ``repr`` is the same in each process."""
+    """Return the content of a value that a kernel uses, as plain data whose ``repr`` is the same in each process, or is
+    never the same if the content of such a value is unknown.
+    """
     if isinstance(value, Dispatcher):
         return "kernel", _name_of(value.py_func)
     if isinstance(value, np.ndarray | np.generic):
@@ -189,14 +192,19 @@ def _value(value: object) -> object:
     if isinstance(value, frozenset):
         return "set", sorted(repr(_value(part)) for part in value)
     if isinstance(value, tuple):
-        return type(value).__qualname__, [_value(part) for part in value]
+        return type(value).__qualname__, getattr(value, "_fields", None), [_value(part) for part in value]
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
         return type(value).__name__, repr(value)
     if isinstance(value, ModuleType):
         return "module", value.__name__, _own_file(value)
     if isinstance(value, type):
         return "class", value.__module__, value.__qualname__, getattr(value, "_fields", None)
-    return "other", type(value).__module__, type(value).__qualname__, getattr(value, "__qualname__", "")
+    if isinstance(value, np.dtype | numba.types.Type):
+        return "type", type(value).__qualname__, repr(value)
+    if isinstance(value, np.ufunc | BuiltinFunctionType):
+        return "function", getattr(value, "__module__", None), value.__name__
+    # Nothing says what else may hold. A kernel that uses it is compiled in each process; a stale one would be wrong.
+    return "unknown", secrets.token_hex()
 
 
 def _own_file(module: ModuleType) -> str:

@@ -41,7 +41,7 @@ class Image:
 
 class MaterialReader:
     """Reads materials of one file with their textures, samplers and images. Only what is requested is kept, and each
-    kind is numbered anew from 0.
+    kind is renumbered from 0.
     """
 
     def __init__(self, root: JsonNode, binary: bytes) -> None:

@@ -137,6 +137,28 @@ def test_a_change_in_another_folder_is_noticed(kernels: Path, tmp_path: Path, ed
     assert len(cached(tmp_path)) > before
 
 
+GLOBALS = {
+    "a type": ("import numba\nONE = numba.int64\n", "numba.int64", "numba.int8", "ONE(x * 200) // 100"),
+    "a record's dtype": (
+        "import numpy as np\nONE = np.dtype([('a', 'f8')])\n",
+        "'f8'",
+        "'i1'",
+        "np.zeros(1, ONE)['a'].itemsize + 2 * x - 8",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", GLOBALS)
+def test_a_changed_global_of_any_kind_is_noticed(kernels: Path, tmp_path: Path, kind: str) -> None:
+    head, old, new, expression = GLOBALS[kind]
+    source = head + SOURCE.replace("2 * x", expression)
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    (kernels / "kernel.py").write_text(source)
+    assert run(kernels, tmp_path / "home", **environment).stdout == "42\n"
+    (kernels / "kernel.py").write_text(source.replace(old, new))
+    assert run(kernels, tmp_path / "home", **environment).stdout != "42\n"
+
+
 def test_a_damaged_file_is_written_again(kernels: Path, tmp_path: Path) -> None:
     environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     run(kernels, tmp_path / "home", **environment)

@@ -96,7 +96,7 @@ def test_a_unit_that_kills_its_worker_is_found_and_the_others_go_on(
 
 
 def test_a_unit_whose_worker_is_ended_is_not_at_fault(executor: RayExecutor, store: LocalStore, tmp_path: Path) -> None:
-    """SIGTERM to a worker is no error of its unit: nothing goes to quarantine, and the unit is run again."""
+    """A worker that receives SIGTERM does not quarantine its unit: the unit is run again."""
     units = [toys.unit("a/struck", 4, trouble=f"terminate-once:{tmp_path / 'once'}"), *toys.units(6)]
     report = run(toys.pipeline(), units, store, executor=executor)
     assert [*Commits(store).quarantined()] == []

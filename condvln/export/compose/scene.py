@@ -147,7 +147,7 @@ def _draw(writer: GlbWriter, scene: Scene, geometry: SceneGeometry) -> None:
 
 def _own(geometry: SceneGeometry, rows: NDArray[np.int64]) -> tuple[F64, NDArray[np.int64]]:
     """Return a mesh (vertices, faces) of the faces with the indices `rows`, in that order. It has only the vertices
-    that these faces use, numbered anew.
+    that these faces use, renumbered from 0.
     """
     used, corners = np.unique(geometry.faces[rows], return_inverse=True)
     return geometry.vertices[used], corners.reshape(-1, 3).astype(np.int64)
