@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -14,7 +14,22 @@ from schemas.errors import UsageError
 __all__ = ["trajectories"]
 
 
+_OF_A_RECIPE: Final = {
+    "split": "--split",
+    "layout": "--layout",
+    "camera": "--camera",
+    "sweep": "--sweep",
+    "walks": "--walks",
+    "keys": "--walk",
+    "navmesh_root": "--navmesh-root",
+    "recipe_only": "--recipe-only",
+    "overrides": "--set",
+}
+"""Options that a recipe decides, by parameter."""
+
+
 def trajectories(
+    context: typer.Context,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder to write, outside of the export")],
     target: Annotated[
         str | None,
@@ -102,11 +117,12 @@ def trajectories(
         raise UsageError(
             "name either CONFIG|EXPORT or --from-recipe DIR", remedy="See condvln trajectories --help for examples."
         )
-    if from_recipe is not None and (layout or sweep or walks or keys or overrides or navmesh_root):
+    decided = [option for name, option in _OF_A_RECIPE.items() if _is_given(context, name)]
+    if from_recipe is not None and decided:
         raise UsageError(
-            "layouts, cameras and walks are those of the recipe",
+            "split, layouts, cameras and walks are those of the recipe, with all images",
             place="--from-recipe",
-            remedy="Leave out --layout, --sweep, --walks, --walk, --navmesh-root and --set.",
+            remedy=f"Leave out {', '.join(decided)}.",
         )
     request = Request(
         target=target or "",
@@ -130,3 +146,9 @@ def trajectories(
     report = make_trajectories(request, console(quiet=as_json))
     answer(report, as_json)
     leave(report.exit_code)
+
+
+def _is_given(context: typer.Context, name: str) -> bool:
+    """Return whether the command line sets a parameter, to the default or to another value."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"

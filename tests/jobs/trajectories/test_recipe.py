@@ -12,11 +12,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
 
 from condvln.samples import make_samples
 from condvln.sources.family import FAMILIES
 from condvln.trajectories.licences import refuse_unlicensed
 from condvln.trajectories.recipe import RECIPE_FILES, Recipe
+from jobs.command import app
 from jobs.trajectories import Request, make_trajectories
 from schemas.errors import FormatError, MissingFileError, ProofError, UsageError
 from tests.jobs.trajectories.made import TINY, content, proven, rows, to
@@ -193,3 +195,26 @@ def read_all(folder: Path) -> None:
     recipe = Recipe(folder)
     for family, scene in recipe.scenes:
         recipe.tables(family, scene)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "--split=train",
+        "--camera=streamvln",
+        "--layout=navila",
+        "--sweep=height=1",
+        "--walks=gold",
+        "--walk=seed=0",
+        "--navmesh-root=x",
+        "--recipe-only",
+        "--set=seed=1",
+    ],
+)
+def test_what_the_recipe_decides_is_refused_on_the_command_line(given: str, tmp_path: Path) -> None:
+    """Also where the option repeats the default, which the recipe may contradict."""
+    command = ["trajectories", "--from-recipe", str(tmp_path), "--out", str(tmp_path / "out"), given]
+    found = CliRunner().invoke(app, command)
+    assert isinstance(found.exception, UsageError)
+    assert f"Leave out {given.split('=')[0]}." in str(found.exception)
+    assert not (tmp_path / "out").exists()
