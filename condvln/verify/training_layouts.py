@@ -31,6 +31,8 @@ _UNINAVID: Final = ("stop", "forward", "left", "right")
 _SAID_BY_UNINAVID: Final = "a video of historical observations and an image of the current observation"
 _PAIR: Final = {"125cm_0deg": (1.25, 0.0), "125cm_30deg": (1.25, 30.0)}
 _DOWN: Final = "125cm_30deg"
+_HUB: Final = "streamvln"
+"""The layout whose files are the hub's own."""
 
 
 class LayoutProof:
@@ -51,9 +53,12 @@ def prove_layouts(folder: Path, record: Row, walks: Sequence[Row]) -> LayoutProo
     """
     proof = LayoutProof()
     checks = {"navila": _navila, "uninavid": _uninavid, "janusvln": _janusvln, "internvla-n1": _internvla}
-    for name in record["layouts"]:
-        if name not in checks:
-            continue
+    for name in sorted({*record["layouts"]} - {*checks, _HUB}):
+        proof.faults.append(("", f"{name}: the record names a layout that is not known here"))
+    for name in sorted(checks.keys() - {*record["layouts"]}):
+        if (folder / name).exists():
+            proof.faults.append(("", f"{name}: the folder is there, but the record does not name this layout"))
+    for name in sorted(checks.keys() & {*record["layouts"]}):
         proof.rows[name] = 0
         try:
             for walk, fault in checks[name](folder, record, walks, proof):
