@@ -27,6 +27,7 @@ from factory.commits import Commits, Committed
 from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
+from factory.garbage import collected_between_units
 from factory.heartbeat import Place
 from factory.key import Keyer, StageKey
 from factory.memory import MemoryCeiling, release, share
@@ -92,7 +93,7 @@ class Worker:
         ceiling = self._last_ceiling if last_try else self._ceiling
         # Where the last try would have no more, this is the last one.
         last_try = last_try or ceiling.ceiling == self._last_ceiling.ceiling
-        with ceiling.watch():
+        with collected_between_units(), ceiling.watch():
             receipt = self._tried(unit, until, fingerprint, attempt, last_try, ceiling)
         if receipt.status == "memory" or (receipt.failure is not None and receipt.failure.cause == "memory"):
             release()
