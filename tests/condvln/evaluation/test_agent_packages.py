@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 import time
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from condvln.evaluation.agents import agent_named
 from condvln.evaluation.export_folder import Export
+from condvln.evaluation.task import Task
 from condvln.evaluation.tools import EpisodeTools, tools_for
 
 HOW = "make agents installs it"
@@ -32,6 +37,117 @@ def test_transformers_reads_the_tools_as_trl_does(tools: type[EpisodeTools]) -> 
     assert "required" not in found["forward"]["parameters"]
     assert found["look"]["parameters"]["properties"] == {}
     assert all(described["description"] for described in found.values())
+
+
+def calls_of(export: Export, task: Task) -> list[tuple[str, dict[str, int]]]:
+    """The oracle's walk as calls of tools."""
+    headings = agent_named("oracle")(task, export.pathfinder(task), 0).headings
+    assert headings is not None
+    turns = np.round(np.degrees(np.diff(headings) + np.pi) % 360 - 180).astype(int)[:-1].tolist()
+    calls: list[tuple[str, dict[str, int]]] = []
+    for turn, run in groupby(turns):
+        count = len(list(run))
+        most = 12 if turn else 40
+        for part in (min(most, count - begun) for begun in range(0, count, most)):
+            calls.append(("turn", {"degrees": -turn * part}) if turn else ("forward", {"steps": part}))
+    return [*calls, ("stop", {})]
+
+
+def test_trl_trains_a_step_on_episodes(
+    tools: type[EpisodeTools], made: tuple[Export, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GRPOTrainer resets episodes, shows the tools, calls them, and takes the rewards; the words of its tiny model with
+    random weights are a script: one walk of the oracle, and one that stops at once.
+    """
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    monkeypatch.setenv("TRL_EXPERIMENTAL_SILENCE", "1")
+    trl = pytest.importorskip("trl", reason=f"trl is absent: {HOW}, with torch's CPU build")
+    from datasets import Dataset
+    from tokenizers import Tokenizer, decoders, models, pre_tokenizers
+    from transformers import PreTrainedTokenizerFast, Qwen3Config, Qwen3ForCausalLM
+    from trl.chat_template_utils import qwen3_chat_template
+
+    letters = sorted(pre_tokenizers.ByteLevel.alphabet())
+    spelling = Tokenizer(models.BPE(vocab={letter: k for k, letter in enumerate(letters)}, merges=[]))
+    spelling.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
+    spelling.decoder = decoders.ByteLevel()
+    words = PreTrainedTokenizerFast(
+        tokenizer_object=spelling,
+        eos_token="<|im_end|>",
+        pad_token="<|endoftext|>",
+        additional_special_tokens=["<|im_start|>"],
+    )
+    words.add_tokens(["<tool_call>", "</tool_call>", "<tool_response>", "</tool_response>", "<think>", "</think>"])
+    words.chat_template = qwen3_chat_template
+    small = {"hidden_size": 8, "intermediate_size": 8, "num_hidden_layers": 1, "head_dim": 8}
+    model = Qwen3ForCausalLM(Qwen3Config(vocab_size=len(words), num_attention_heads=1, num_key_value_heads=1, **small))
+
+    task = min(made[0].tasks("train"), key=lambda one: len(calls_of(made[0], one)))
+    walk, hasty = calls_of(made[0], task), [("turn", {"degrees": 7}), ("stop", {})]
+    assert len(walk) >= len(hasty)
+
+    def said(call: tuple[str, dict[str, int]]) -> str:
+        written = json.dumps({"name": call[0], "arguments": call[1]})
+        return f"<tool_call>\n{written}\n</tool_call><|im_end|>"
+
+    prompts: list[str] = []
+
+    class Scripted(trl.GRPOTrainer):  # type: ignore[misc, name-defined]
+        def _generate_single_turn(self, prompt_ids: list[list[int]], *_: Any, **__: Any) -> tuple[Any, None]:
+            now = [words.decode(ids) for ids in prompt_ids]
+            prompts.extend(now)
+            texts = []
+            for k, prompt in enumerate(now):
+                taken = prompt.count("<tool_response>")
+                # Both walks are here until the second one, which stops at once, has said its last word.
+                calls = hasty if k == 1 else walk
+                texts.append(said(calls[taken]) if taken < len(calls) else "Done.<|im_end|>")
+            return [words.encode(text, add_special_tokens=False) for text in texts], None
+
+    rewards: list[float] = []
+    walked: list[EpisodeTools] = []
+
+    def reward(environments: list[EpisodeTools], **_: Any) -> list[float]:
+        walked.extend(environments)
+        rewards.extend(environment.reward for environment in environments)
+        return [environment.reward for environment in environments]
+
+    row = {"prompt": [{"role": "user", "content": "Follow the instruction. "}], "episode_id": task.episode_id}
+    settings = trl.GRPOConfig(
+        output_dir=str(tmp_path),
+        per_device_train_batch_size=2,
+        num_generations=2,
+        max_steps=1,
+        max_completion_length=60_000,
+        report_to="none",
+        use_cpu=True,
+        bf16=False,
+        save_strategy="no",
+        logging_steps=1,
+        disable_tqdm=True,
+    )
+    trainer = Scripted(
+        model=model,
+        args=settings,
+        processing_class=words,
+        reward_funcs=reward,
+        train_dataset=Dataset.from_list([row]),
+        environment_factory=tools,
+    )
+    trainer.train()
+    (log,) = (one for one in trainer.state.log_history if "reward" in one)
+    assert sorted(rewards) == [0.0, 1.0]
+    assert log["reward"] == 0.5
+    # Two calls of the walk that stops at once, of them one with an angle that no tool takes.
+    assert log["tools/call_frequency"] == (len(walk) + 2) / 2
+    assert log["tools/failure_frequency"] == pytest.approx(1 / (len(walk) + 2))
+    assert log["grad_norm"] > 0
+    assert all(task.text in prompt and '"name": "forward"' in prompt for prompt in prompts)
+    assert any("multiple of 15" in prompt for prompt in prompts)
+    won = next(one for one in walked if one.reward)
+    np.testing.assert_array_equal(
+        won.prediction.positions, agent_named("oracle")(task, made[0].pathfinder(task), 0).positions
+    )
 
 
 @pytest.fixture
