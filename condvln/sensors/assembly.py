@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -30,6 +30,8 @@ NO_WALLS: Final = "incomplete: walls are unknown, so rooms are visible through t
 OWNERS_BY_BOX: Final = "instances: the scan's mesh has no object ids; a surface belongs to the smallest box around it"
 SIDES: Final = (0.86, 1.0, 0.72)
 """Brightness of the faces of a drawn box that face along x, y and z, so that its edges are visible."""
+NAMED: Final = 3
+"""Largest number of files that a note names."""
 MARGIN: Final = 0.05
 """Tolerance in metres of a scan's boxes, which may end before the surface; about the size of a triangle."""
 
@@ -73,13 +75,27 @@ def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
     for number, item in enumerate(scene.objects):
         for part in item.mesh:
             place(part, number)
-    unread = sum(file.unread for file in known.values())
-    notes = [] if scene.stage else [NO_STAGE]
-    if unread:
-        notes.append(f"textures: {unread} can't be read; their surfaces have their material's colour")
+    notes = [*([] if scene.stage else [NO_STAGE]), *_unread(known)]
     scan = not any(item.mesh for item in scene.objects)
     surfaces = builder.surfaces([*notes, OWNERS_BY_BOX] if scan else notes)
     return replace(surfaces, owner=_owners_by_box(surfaces, scene, words)) if scan else surfaces
+
+
+def _unread(files: Mapping[str, DrawnFile]) -> list[str]:
+    """Return the notes on textures that can't be read; `files` by path."""
+    faulty = [path for path, file in files.items() if file.unread]
+    if not faulty:
+        return []
+    count = sum(file.unread for file in files.values())
+    more = f" and {len(faulty) - NAMED} more files" if len(faulty) > NAMED else ""
+    notes = [
+        f"textures: {count} can't be read, in {', '.join(faulty[:NAMED])}{more}; their surfaces have their material's "
+        "colour"
+    ]
+    undecoded = sum(file.undecoded for file in files.values())
+    if undecoded:
+        notes.append(f"textures: {undecoded} are KTX2 images, which the extra 'ktx2' of condvln reads")
+    return notes
 
 
 def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:

@@ -15,7 +15,7 @@ from condvln.scene.boxes import placement, transform_points
 from condvln.scene.quaternions import to_matrix
 from condvln.sensors.kernels.shading import CLAMP
 from condvln.sensors.surfaces import Material, SurfaceBuilder
-from condvln.sensors.textures import READABLE, allowed_edge, read_picture
+from condvln.sensors.textures import KTX2, allowed_edge, is_readable, read_picture
 
 __all__ = ["DrawnFile", "drawn_file"]
 
@@ -24,7 +24,7 @@ _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _STRIP: Final = 5
 _WRAPS: Final = {10497: 0, 33071: 1, 33648: 2}
 """glTF's codes of the wrap modes repeat, clamp to edge and mirrored repeat, in the order of `Material.wrap`."""
-_WEBP: Final = "EXT_texture_webp"
+_IMAGE_EXTENSIONS: Final = ("EXT_texture_webp", "KHR_texture_basisu")
 _TRANSFORM: Final = "KHR_texture_transform"
 
 F64 = NDArray[np.float64]
@@ -37,6 +37,7 @@ class DrawnFile:
     """The triangles of one file in its root frame, metres. The arrays are as in `Surfaces`.
 
     unread : number of textures whose image has an unsupported format, is damaged, or is missing
+    undecoded : number of those that are KTX2 images for which no decoder is installed
     """
 
     corners: F64
@@ -44,6 +45,7 @@ class DrawnFile:
     colours: Bytes
     material: NDArray[np.int32]
     unread: int
+    undecoded: int
 
     def place(self, builder: SurfaceBuilder, owner: int, transform: F64) -> None:
         """Add the triangles to a builder, transformed to the scene's frame by a (4, 4) matrix."""
@@ -72,6 +74,7 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
         np.concatenate([piece[2] for piece in found]),
         np.concatenate([piece[3] for piece in found]),
         painter.unread,
+        painter.undecoded,
     )
 
 
@@ -143,6 +146,7 @@ class _Painter:
         self._look, self._builder = look, builder
         self._textures: dict[int, int] = {}
         self.unread = look.lost if look is not None else 0
+        self.undecoded = 0
 
     def material(self, index: int | None) -> tuple[int, tuple[int, int], str, F64]:
         """Return a material's number, its wrap modes, the attribute that holds its texture coordinates, and the (3, 3)
@@ -165,10 +169,13 @@ class _Painter:
         own = self._look.textures[index]
         sampler = self._look.samplers[own["sampler"]] if "sampler" in own else {}
         wrap = _WRAPS[sampler.get("wrapS", 10497)], _WRAPS[sampler.get("wrapT", 10497)]
-        images = [own.get("source"), own.get("extensions", {}).get(_WEBP, {}).get("source")]
-        known = [image for image in images if image is not None and self._look.images[image].mime in READABLE]
+        extensions = own.get("extensions", {})
+        named = [own.get("source"), *(extensions.get(name, {}).get("source") for name in _IMAGE_EXTENSIONS)]
+        images = [image for image in named if image is not None]
+        known = [image for image in images if is_readable(self._look.images[image].mime)]
         if not known:
             self.unread += 1
+            self.undecoded += any(self._look.images[image].mime == KTX2 for image in images)
             return -1, (0, 0)
         if known[0] not in self._textures:
             image = self._look.images[known[0]]

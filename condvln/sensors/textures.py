@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["MAX_BYTES", "MAX_EDGE", "READABLE", "Texels", "allowed_edge", "read_picture", "stored"]
+__all__ = ["KTX2", "MAX_BYTES", "MAX_EDGE", "Texels", "allowed_edge", "is_readable", "read_picture", "stored"]
 
 MAX_EDGE: Final = 1024
 """Largest kept size in texels of a texture's longer side. A camera of 640 columns one metre from a surface of 2 m × 2 m
@@ -26,6 +27,9 @@ SMALL_EDGE: Final = 128
 MAX_PICTURE: Final = 1 << 26
 """Largest number of pixels of an image that is decoded: 8,192 by 8,192."""
 READABLE: Final = {"image/png": "PNG", "image/jpeg": "JPEG", "image/webp": "WEBP"}
+"""Images that Pillow decodes, by media type."""
+KTX2: Final = "image/ktx2"
+"""Media type of images that the package opengl_basisu decodes, where it is installed (extra `ktx2`)."""
 
 Bytes = NDArray[np.uint8]
 
@@ -57,6 +61,11 @@ def allowed_edge(used: int) -> int:
     return MAX_EDGE if used < MAX_BYTES // 2 else SMALL_EDGE if used < MAX_BYTES else 1
 
 
+def is_readable(mime: str) -> bool:
+    """Return whether a decoder for images of a media type is installed."""
+    return mime in READABLE or (mime == KTX2 and find_spec("opengl_basisu") is not None)
+
+
 def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | None:
     """Return the mipmap levels (h, w, 3) of an encoded image, the largest first; None if it can't be decoded.
 
@@ -64,8 +73,10 @@ def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | 
     """
     from PIL import Image
 
-    if mime not in READABLE:
+    if not is_readable(mime):
         return None
+    if mime == KTX2:
+        return _transcoded(data, edge)
     try:
         with Image.open(io.BytesIO(data), formats=(READABLE[mime],)) as picture:
             if picture.width * picture.height > MAX_PICTURE:
@@ -73,6 +84,22 @@ def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | 
             picture.draft("RGB", (edge, edge))
             return list(_levels(picture.convert("RGB"), edge))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None
+
+
+def _transcoded(data: bytes, edge: int) -> list[Bytes] | None:
+    import opengl_basisu
+    from PIL import Image
+
+    try:
+        texture = opengl_basisu.open(data)
+        if texture.width * texture.height > MAX_PICTURE:
+            return None
+        # The largest of the file's own mipmap levels that is kept, or else the smallest.
+        fits = [level for level in range(texture.levels) if max(texture.level_size(level)) <= edge]
+        pixels = texture.transcode("rgba8", fits[0] if fits else texture.levels - 1).data
+        return list(_levels(Image.fromarray(pixels[..., :3]), edge))
+    except ValueError:
         return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,29 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from condvln.formats.glb_part import read_part
+from condvln.scene import MeshPart, Scene
+from condvln.sensors.assembly import scene_surfaces
 from condvln.sensors.gltf_faces import drawn_file
 from condvln.sensors.renderer import Renderer
 from condvln.sensors.surfaces import SurfaceBuilder
 from condvln.sensors.textures import MAX_BYTES, allowed_edge, read_picture
 from schemas.config import CameraConfig
 from tests.condvln.sensors.glb_pictures import encoded, square_glb
+from tests.condvln.sensors.ktx2_pictures import ETC1S_64, UASTC_16
 
 Bytes = NDArray[np.uint8]
 
+
 # Red grows to the right, green downwards, blue marks the upper left quarter.
-IMAGE: Bytes = np.zeros((64, 64, 3), np.uint8)
-IMAGE[..., 0] = 4 * np.arange(64)
-IMAGE[..., 1] = 4 * np.arange(64)[:, None]
-IMAGE[:32, :32, 2] = 200
+def pattern(size: int) -> Bytes:
+    image = np.zeros((size, size, 3), np.uint8)
+    image[..., 0] = 256 // size * np.arange(size)
+    image[..., 1] = 256 // size * np.arange(size)[:, None]
+    image[: size // 2, : size // 2, 2] = 200
+    return image
+
+
+IMAGE: Bytes = pattern(64)
 
 
 def seen(glb: bytes, size: int = 64, distance: float = 1.0) -> Bytes:
@@ -43,6 +53,34 @@ def test_the_image_is_seen_as_it_is(kind: str, mime: str) -> None:
     texture = {"extensions": {"EXT_texture_webp": {"source": 0}}} if kind == "WEBP" else None
     np.testing.assert_array_equal(seen(square_glb(image, mime, texture=texture)), IMAGE)
     np.testing.assert_array_equal(seen(square_glb(image, mime, texture=texture, strip=True)), IMAGE)
+
+
+@pytest.mark.parametrize(
+    ("image", "size", "mean", "most"), [(UASTC_16, 16, 0.5, 2), (ETC1S_64, 64, 3.0, 15)], ids=["uastc", "etc1s"]
+)
+def test_a_ktx2_image_is_seen_about_as_it_is(image: bytes, size: int, mean: float, most: int) -> None:
+    pytest.importorskip("opengl_basisu", reason="the extra ktx2 is absent")
+    glb = square_glb(image, "image/ktx2", texture={"extensions": {"KHR_texture_basisu": {"source": 0}}})
+    difference = np.abs(seen(glb, size).astype(int) - pattern(size))
+    assert difference.mean() < mean
+    assert difference.max() <= most
+    levels = read_picture(image, "image/ktx2", size // 2)
+    assert levels is not None
+    assert levels[0].shape == (size // 2, size // 2, 3)
+
+
+def test_without_the_extra_a_note_names_the_file_and_what_reads_ktx2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("condvln.sensors.textures.find_spec", lambda name: None)
+    glb = square_glb(UASTC_16, "image/ktx2", factor=[1.0, 0.0, 0.0, 1.0])
+    assert (seen(glb) == [255, 0, 0]).all()
+    (tmp_path / "square.glb").write_bytes(glb)
+    part = MeshPart("square.glb", np.eye(4))
+    scene = Scene(family="made", scene_id="one", root=tmp_path, rooms=(), objects=(), stage=(part,))
+    notes = scene_surfaces(scene, None).notes
+    assert any("in square.glb" in note for note in notes)
+    assert any("'ktx2'" in note for note in notes)
 
 
 def test_a_jpeg_is_seen_about_as_it_is() -> None:
@@ -126,9 +164,9 @@ def test_memory_of_textures_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.sampled_from(["PNG", "JPEG", "WEBP"]), st.integers(0), st.integers(0, 255), st.integers(1))
+@given(st.sampled_from(["PNG", "JPEG", "WEBP", "KTX2"]), st.integers(0), st.integers(0, 255), st.integers(1))
 def test_no_image_breaks_the_reader(kind: str, place: int, value: int, length: int) -> None:
-    data = bytearray(encoded(IMAGE, kind))
+    data = bytearray(ETC1S_64 if kind == "KTX2" else encoded(IMAGE, kind))
     data[place % len(data)] = value
     levels = read_picture(bytes(data[: 1 + length % len(data)]), f"image/{kind.lower()}")
     assert levels is None or levels[-1].shape == (1, 1, 3)
