@@ -38,8 +38,7 @@ soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
 	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 20
 
 # Heavy packages, over those of $(VENV), in an environment of their own: their pins contradict those of the tests.
-# torch's CPU build is in PyTorch's own index (PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu); where pip does
-# not find it, the test of TRL is skipped.
+# torch's CPU build is not in every package index. Where pip does not find it, the test of TRL is skipped.
 $(VENV)-agents/.ready: requirements-agents.lock requirements-trl.lock $(VENV)/.ready
 	$(PYTHON) -m venv $(VENV)-agents
 	$(BIN)/python -c "import site; print(site.getsitepackages()[0])" > \

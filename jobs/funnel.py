@@ -93,8 +93,8 @@ class Flow:
         }
 
     def why(self) -> str:
-        """Return the most frequent causes of a shortage in one line. The cause TOO_FEW is followed by what ended the
-        draws.
+        """Return the most frequent causes of a shortage in one line. After the cause TOO_FEW, the line names the most
+        frequent reasons why draws failed.
         """
         return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
 

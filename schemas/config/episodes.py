@@ -125,8 +125,8 @@ class EpisodeConfig(Section):
 
     @property
     def step_ceiling(self) -> int:
-        """Return the limit on twice the number of actions of a ground-truth walk; the walk to every leaf must keep to
-        this limit.
+        """Return the greatest allowed value of 2 · A, where A is the number of actions of the ground-truth walk to a
+        leaf. The walks to all leaves must keep to it.
         """
         return STEP_CEILING if self.max_steps == "proportional" else self.max_steps
 
