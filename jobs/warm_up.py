@@ -22,6 +22,7 @@ KERNEL_MODULES: Final = {
     "an agent's map": "condvln.evaluation.kernels.floor_grid",
     "line of sight among boxes": "condvln.navigation.occluders",
     "ways of episodes": "condvln.episodes.routes",
+    "starts of episodes": "condvln.episodes.starts",
     "json scan": "condvln.formats.json_scan",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""

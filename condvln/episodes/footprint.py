@@ -11,7 +11,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from condvln.episodes.kernels.ways import passes_through
 from condvln.scene import OrientedBox, SceneObject
 from schemas.config.constants import UPRIGHT_COSINE
 
@@ -131,7 +130,12 @@ class Footprint:
 
 
 class Footprints:
-    """The footprints of several objects, tested together."""
+    """The footprints of several objects, tested together.
+
+    Attributes
+    ----------
+    boxes : the b rectangles of all footprints: centres (b, 2), half extents (b, 2) and axes as columns (b, 2, 2)
+    """
 
     def __init__(self, footprints: Sequence[Footprint]) -> None:
         parts = [footprint.parts or (footprint,) for footprint in footprints]
@@ -141,14 +145,10 @@ class Footprints:
         self._half = np.array([box.half for box in boxes]).reshape(-1, 1, 2)
         self._axes = np.array([box.axes for box in boxes]).reshape(-1, 2, 2).swapaxes(1, 2)
         found = (self._center[:, 0], self._half[:, 0], self._axes)
-        self._boxes = tuple(np.array(values, np.float64, order="C") for values in found)
+        self.boxes = tuple(np.array(values, np.float64, order="C") for values in found)
 
     def __len__(self) -> int:
         return len(self._first)
-
-    def stand_in(self, path: F64) -> bool:
-        """Return whether a path (n, 3) crosses the interior of any footprint."""
-        return len(self._center) > 0 and passes_through(path, *self._boxes)
 
     def crossings(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
         """Return a mask (m, n): whether the interior of each of the m footprints is crossed by each of n horizontal

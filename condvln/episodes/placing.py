@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from condvln.episodes.facing import HEADINGS, Facings, Headings
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
-from condvln.episodes.kernels.ways import comes_within
+from condvln.episodes.kernels.starts import REFUSALS
 from condvln.episodes.routes import GoalField, Route
+from condvln.episodes.starts import Starts
 from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
@@ -198,8 +199,20 @@ class Placer:
         return np.asarray(points[order][: self.rules.starts], dtype=np.float64)
 
     @cached_property
-    def _start_rows(self) -> F64:
-        return self.field.rows(self.starts)
+    def _from_starts(self) -> Starts:
+        return Starts(self.pathfinder, self.field, self.starts, self._solid)
+
+    @cached_property
+    def _in_range(self) -> NDArray[np.bool_]:
+        """Mask (n, s): whether each object may be the goal of a leaf from each start."""
+        low, high = self.rules.range(self.scene.single_room)
+        away = self._from_starts.distances
+        return self._is_apart & (away >= low) & (away <= high)
+
+    @cached_property
+    def _is_apart(self) -> NDArray[np.bool_]:
+        """Mask (n, s): whether each object may be a stop from each start."""
+        return np.asarray(self._from_starts.distances > 2 * self.tau)
 
     @cached_property
     def _gaps(self) -> F64:
@@ -266,37 +279,56 @@ class Placer:
         if not len(self.starts):
             raise Rejected("no_start")
         self.check_objects(program)
-        rng = generator(self.seed, self.scene.scene_id, "place", instruction_id)
-        possible = self._starts_in_range(program)
+        leaves = [[self._order[move.object_id] for move in leaf.moves] for leaf in program.leaves]
+        possible = self._starts_in_range(leaves)
         if not len(possible):
             raise Rejected("no_start_in_range")
-        possible = self._starts_without_detour(program, possible)
+        possible = self._starts_without_detour(leaves, possible)
         if not len(possible):
             raise Rejected("detour")
         if lengths is not None:
-            possible = self._starts_not_too_far(program, possible, lengths)
+            possible = self._starts_not_too_far(leaves, possible, lengths)
             if not len(possible):
                 raise Rejected(ROUTE_MISSED)
+        rng = generator(self.seed, self.scene.scene_id, "place", instruction_id)
         facing = self._facing(members or (program,), rng)
         if facing is not None:
             possible = possible[facing.possible[possible]]
             if not len(possible):
                 raise Rejected("no_heading")
+        order = rng.permutation(possible)[: self.rules.starts_per_program]
+        yaws = self._yaws(rng, order, facing, compass=compass)
+        refused = np.zeros(len(REFUSALS), np.int64)
         failures: Counter[str] = Counter()
-        for k in rng.permutation(possible)[: self.rules.starts_per_program]:
-            yaw = float(rng.uniform(-math.pi, math.pi))
-            if facing is not None:
-                yaw = math.radians(-float(rng.choice(facing.headings[facing.fit[k]])))
-            elif compass:
-                yaw = round(yaw / COMPASS_STEP) * COMPASS_STEP
+        at = 0
+        while at < len(order):
+            found = self._from_starts.first_fit(leaves, order[at:], self.tau, lengths, refused)
+            if found is None:
+                break
+            at += found.refused
             try:
-                return self._place_at(program, self.starts[k], yaw, fit, lengths)
+                return self._placed(program, leaves, int(order[at]), yaws[at], found.routes, fit)
             except Rejected as rejected:
                 failures[rejected.reason] += 1
+            at += 1
+        failures.update({reason: count for reason, count in zip(REFUSALS, refused.tolist(), strict=True) if count})
         for reason in (NOT_FIT, ROUTE_MISSED):
             if reason in failures:
                 raise Rejected(reason)
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
+
+    def _yaws(
+        self, rng: np.random.Generator, order: NDArray[np.int64], facing: Headings | None, *, compass: bool
+    ) -> list[float]:
+        """Return the yaw in radians for each start of `order`."""
+        if facing is None:
+            drawn = rng.uniform(-math.pi, math.pi, len(order)).tolist()
+            return [round(yaw / COMPASS_STEP) * COMPASS_STEP for yaw in drawn] if compass else drawn
+        yaws = []
+        for k in order:
+            rng.uniform(-math.pi, math.pi)  # so that all programs draw alike
+            yaws.append(math.radians(-float(rng.choice(facing.headings[facing.fit[k]]))))
+        return yaws
 
     def _facing(self, programs: Sequence[Program], rng: np.random.Generator) -> Headings | None:
         """Return the start poses that the egocentric statements of `programs` allow; None if there are no such
@@ -310,72 +342,67 @@ class Placer:
     def _facings(self) -> Facings:
         return Facings(self.scene, self.starts, self.thresholds, self.sightings)
 
-    def _starts_in_range(self, program: Program) -> NDArray[np.int64]:
-        low, high = self.rules.range(self.scene.single_room)
-        rows = self._start_rows
-        good = np.ones(len(rows), dtype=bool)
-        for leaf in program.leaves:
-            goal = self.field.nearest(rows, leaf.goal.object_id)
-            good &= (goal >= low) & (goal <= high)
-            for move in leaf.moves:
-                good &= self.field.nearest(rows, move.object_id) > 2 * self.tau
-        return np.flatnonzero(good)
+    def _starts_in_range(self, leaves: Sequence[Sequence[int]]) -> NDArray[np.int64]:
+        goals, stops = [leaf[-1] for leaf in leaves], [stop for leaf in leaves for stop in leaf[:-1]]
+        good = self._in_range[goals].all(axis=0)
+        return np.flatnonzero(good & self._is_apart[stops].all(axis=0) if stops else good)
 
-    def _starts_without_detour(self, program: Program, possible: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _starts_without_detour(self, leaves: Sequence[Sequence[int]], possible: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the starts of `possible` from which no leaf's route exceeds the detour limit."""
         if self.scene.single_room:
             return possible
-        rows = self._start_rows[possible]
-        good = np.ones(len(rows), dtype=bool)
-        for leaf in program.leaves:
-            if len(leaf.moves) > 1:
-                direct = self.field.nearest(rows, leaf.goal.object_id)
-                route = self.field.route_lengths(rows, [move.object_id for move in leaf.moves])
+        good = np.ones(len(possible), dtype=bool)
+        for leaf in leaves:
+            if len(leaf) > 1:
+                direct = self._from_starts.distances[leaf[-1], possible]
+                route = self._from_starts.route_lengths(possible, leaf)
                 good &= route <= self.rules.detour_factor * direct + self.rules.detour_slack
         return possible[good]
 
     def _starts_not_too_far(
-        self, program: Program, possible: NDArray[np.int64], lengths: tuple[float, float]
+        self, leaves: Sequence[Sequence[int]], possible: NDArray[np.int64], lengths: tuple[float, float]
     ) -> NDArray[np.int64]:
         """Return the starts of `possible` from which the route of every leaf can have a length in the range `lengths`.
 
         A route is never shorter than the geodesic distance to its goal, and equal to it if the leaf has a single stop.
         """
         low, high = lengths
-        rows = self._start_rows[possible]
-        good = np.ones(len(rows), dtype=bool)
-        for leaf in program.leaves:
-            goal = self.field.nearest(rows, leaf.goal.object_id)
+        good = np.ones(len(possible), dtype=bool)
+        for leaf in leaves:
+            goal = self._from_starts.distances[leaf[-1], possible]
             good &= goal <= high
-            if len(leaf.moves) == 1:
+            if len(leaf) == 1:
                 good &= goal >= low
         return possible[good]
 
-    def _place_at(
-        self, program: Program, start: F64, yaw: float, fit: Fit | None, lengths: tuple[float, float] | None
+    def _placed(
+        self,
+        program: Program,
+        leaves: Sequence[Sequence[int]],
+        at: int,
+        yaw: float,
+        routes: Sequence[Route],
+        fit: Fit | None,
     ) -> Placement:
-        routes = []
-        for leaf in program.leaves:
-            route = self.field.route(start, [move.object_id for move in leaf.moves])
-            if route is None:
-                raise Rejected("unreachable")
-            self._check_furniture(route.path)
-            routes.append(route)
-        goals = [self.field.ordered_goals(start, leaf.goal.object_id) for leaf in program.leaves]
-        self._check_separation(routes, goals)
-        if lengths is not None and not all(lengths[0] <= route.length <= lengths[1] for route in routes):
-            raise Rejected(ROUTE_MISSED)
+        """Return the placement at start number `at`, whose `routes` meet the rules.
+
+        Raises
+        ------
+        Rejected : the start's view does not fit, or a walk does not arrive
+        """
+        start = self.starts[at]
         if fit is not None:
             fitting = fit(Outlook(start, yaw, tuple(route.path for route in routes)))
             if fitting is None:
                 raise Rejected(NOT_FIT)
             yaw = fitting
-        leaves = []
-        for leaf, route, points in zip(program.leaves, routes, goals, strict=True):
-            direct = float(self.field.distances(start, leaf.goal.object_id).min())
+        placed = []
+        for leaf, stops, route in zip(program.leaves, leaves, routes, strict=True):
+            goals = self._from_starts.ordered_goals(at, stops[-1])
+            direct = float(self._from_starts.distances[stops[-1], at])
             walk = self._walk(start, yaw, route)
-            leaves.append(PlacedLeaf(tuple(m.object_id for m in leaf.moves), points, route, direct, walk))
-        return Placement(start, yaw, tuple(leaves), self.tau)
+            placed.append(PlacedLeaf(tuple(m.object_id for m in leaf.moves), goals, route, direct, walk))
+        return Placement(start, yaw, tuple(placed), self.tau)
 
     def _walk(self, start: F64, yaw: float, route: Route) -> FollowedRoute:
         walk = self._follower.follow(start, yaw, route.stops)
@@ -384,13 +411,3 @@ class Placer:
         if not walk.arrived:
             raise Rejected("follower_stuck")
         return walk
-
-    def _check_separation(self, routes: Sequence[Route], goals: Sequence[F64]) -> None:
-        for k, route in enumerate(routes):
-            for j, points in enumerate(goals):
-                if j != k and comes_within(route.path, points, self.tau):
-                    raise Rejected("path_enters_other_leaf")
-
-    def _check_furniture(self, path: F64) -> None:
-        if self._solid.stand_in(path):
-            raise Rejected("path_through_furniture")

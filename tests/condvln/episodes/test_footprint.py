@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
 from condvln.episodes.footprint import Footprint, Footprints
+from condvln.episodes.kernels.ways import passes_through
 from condvln.scene import OrientedBox, SceneObject
 
 metres = st.floats(-5, 5).map(lambda v: round(v, 3))
@@ -92,4 +93,4 @@ def test_unknown_extent_has_no_footprint() -> None:
 @given(st.lists(boxes, max_size=4), points)
 def test_a_way_stands_in_what_some_segment_crosses(several: list[Footprint], at: np.ndarray) -> None:
     crossed = bool(several) and bool(Footprints(several).crossings(at[:-1], at[1:]).any())
-    assert Footprints(several).stand_in(at) == crossed
+    assert passes_through(at, *Footprints(several).boxes) == crossed

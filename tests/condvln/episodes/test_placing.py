@@ -307,16 +307,6 @@ def test_long_detours_are_refused_where_there_are_several_rooms() -> None:
     assert caught.value.reason == "detour"
 
 
-def test_route_lengths_are_those_of_routes(flat) -> None:
-    scene, pathfinder = flat
-    placer = placer_of(scene, pathfinder)
-    rows = placer.field.rows(placer.starts)
-    for moves in (("sofa",), ("table", "lamp"), ("bed", "sink", "sofa")):
-        routes = [placer.field.route(start, moves) for start in placer.starts]
-        expected = [np.inf if route is None else route.length for route in routes]
-        np.testing.assert_allclose(placer.field.route_lengths(rows, moves), expected, rtol=0, atol=1e-9)
-
-
 def test_a_corridor_past_one_leaf_to_the_other_is_refused() -> None:
     # Both objects stand along a corridor 0.75 m wide: whoever comes from the open end passes the first.
     scene = apartment(box("a", 3, 0.4, half=0.1, bottom=0.6), box("b", 6, 0.4, half=0.1, bottom=0.6))
