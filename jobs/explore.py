@@ -139,9 +139,10 @@ def _look(site: Site, scene: ExploredScene, documents: Sequence[Document], confi
     name = scene.scene.scene_id
     asked = configured.model_copy(update={"scenes": (name,), "exclude": ()})
     world = open_world(open_configured(config, asked, hash_file), name, config.agent)
+    centers = {item.object_id: item.center for item in scene.scene.objects}
     for document in documents:
         document["views"] = first_views(document, world.view, config.places, config.episodes)
-        for k, (caption, data) in enumerate(pictures(document, world.renderer)):
+        for k, (caption, data) in enumerate(pictures(document, world.renderer, centers)):
             document["frames"].append({"file": site.add_picture(f"{document['id']}-{k}", data), "caption": caption})
 
 

@@ -12,6 +12,7 @@ from condvln.evaluation.evaluate import Evaluation
 from condvln.evaluation.predictions import Prediction, detect_format, read_predictions
 from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.evaluation.tables import ORACLE_TEXT, Table, all_tables
+from condvln.explorer.differences import difference_table
 from condvln.explorer.tables import table_document
 from condvln.explorer.walks import AgentResults, walk_document
 from condvln.manifest import manifest_lines, manifest_paths
@@ -89,7 +90,8 @@ class ExploredAgents:
 
     def add(self, scored: ScoredSplit) -> None:
         """Add the agents of one split. Raises InputError from the readers."""
-        self.tables += [table_document(table, scored.split) for table in scored.tables]
+        tables = [*scored.tables, difference_table(scored.evaluations)]
+        self.tables += [table_document(table, scored.split) for table in tables if table.rows]
         for evaluation, path in zip(scored.evaluations, scored.files, strict=True):
             stats = is_episode_stats(path)
             viewpoints = not stats and detect_format(path) == "r2r"

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
+import shapely
 
+from condvln.explorer.measures import RoomMeasures, bearing_criteria, decided
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
-from condvln.scene import Scene, SceneObject
+from condvln.scene import Scene
 from schemas.config import Thresholds
 from schemas.program import BEARINGS, Condition, Qualifier
 
@@ -18,12 +19,6 @@ __all__ = ["SceneFacts", "rule_of"]
 
 Row = Mapping[str, Any]
 Document = dict[str, Any]
-_SECTORS: Final = {
-    name: 45.0 * k
-    for k, name in enumerate(("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"))
-}
-_BEARINGS: Final = {"ahead": 0.0, "right": 90.0, "behind": 180.0, "left": 270.0}
-_METRES, _DEGREES, _SHARE = "m", "°", "share"
 
 
 class SceneFacts:
@@ -37,13 +32,11 @@ class SceneFacts:
     def __init__(self, scene: Scene, relations: Iterable[Row], thresholds: Thresholds | None = None) -> None:
         self._scene, self._thresholds = scene, thresholds or Thresholds()
         self._pairs: dict[tuple[str, str], Row] = {}
-        self._edges: dict[tuple[str, str, str], Row] = {}
+        self._rooms: dict[str, RoomMeasures] = {}
         self._meant: dict[tuple[str, str], tuple[str, ...]] = {}
         for row in relations:
             if row["kind"] == "canonical":
                 self._pairs[row["subject"], row["target"]] = row
-            elif row["kind"] == "semantic":
-                self._edges[row["subject"], row["target"], row["predicate"]] = row
 
     def of(self, condition: Condition, start: Row, heading: float) -> Document:
         """Return the evidence for a condition as the page shows it.
@@ -64,13 +57,29 @@ class SceneFacts:
             role = "witness" if name in condition.witnesses else "rival"
             thing: Document = {"id": name, "role": role}
             if condition.qualifier is not None:
-                thing |= self._measured(name, condition.qualifier, start, heading)
+                thing |= self._measured(name, condition.qualifier, start, heading, role == "witness")
             things.append(thing)
+        # The clearest witness and the rival that is nearest to being one come first.
+        things.sort(key=_margin, reverse=condition.truth)
+        things.sort(key=lambda thing: str(thing["role"]), reverse=True)
         if not things:
-            room = condition.room.room_id
-            elsewhere = [o for o in self._scene.objects if o.label == condition.label and o.room_id != room]
-            things = [{"id": item.object_id, "role": "elsewhere"} for item in elsewhere]
+            things = self._elsewhere(condition)
         return {"rule": rule_of(condition.qualifier, self._thresholds), "things": things}
+
+    def _elsewhere(self, condition: Condition) -> list[Document]:
+        """Return the objects with the label in other rooms, the nearest to the condition's room first."""
+        room = self._scene.room_of.get(condition.room.room_id)
+        outline = (
+            None if room is None or room.polygon is None or len(room.polygon) < 3 else shapely.Polygon(room.polygon)
+        )
+        found = []
+        for item in self._scene.objects:
+            if item.label != condition.label or item.room_id == condition.room.room_id:
+                continue
+            at = shapely.Point(float(item.center[0]), float(item.center[2]))
+            apart = None if outline is None else _rounded(outline.distance(at))
+            found.append({"id": item.object_id, "role": "elsewhere", "apart": apart})
+        return sorted(found, key=lambda thing: (thing["apart"] or 0.0, thing["id"]))
 
     def _things(self, condition: Condition) -> tuple[str, ...]:
         key = condition.room.room_id, condition.label
@@ -79,23 +88,31 @@ class SceneFacts:
             self._meant[key] = things_meant(self._scene, *key, vocabulary) if known else ()
         return self._meant[key]
 
-    def _measured(self, name: str, qualifier: Qualifier, start: Row, heading: float) -> Document:
+    def _measured(self, name: str, qualifier: Qualifier, start: Row, heading: float, truth: bool) -> Document:
         subject = self._scene.object_of.get(name)
         if subject is None:
             return {}
-        if qualifier.predicate in BEARINGS:
-            off = _turned(subject, start, heading)
-            return {"measure": "bearing", "value": _rounded(off), "unit": _DEGREES}
+        predicate = qualifier.predicate
+        if predicate in BEARINGS:
+            if subject.box is None:
+                return {}
+            place = np.array([start[axis] for axis in "xyz"], dtype=np.float64)
+            criteria = bearing_criteria(predicate, place, heading, np.asarray(subject.box), self._thresholds)
+            return decided(predicate, [criteria], truth)
         found: Document = {}
+        surface = None
         for anchor in qualifier.anchor_ids:
-            pair, edge = self._pairs.get((name, anchor)), self._edges.get((name, anchor, qualifier.predicate))
+            pair = self._pairs.get((name, anchor))
             if pair is not None:
-                measure, value, unit = _deciding(qualifier.predicate, pair)
-                found |= {"measure": measure, "value": _rounded(value), "unit": unit}
+                surface = pair["surface_distance"]
                 found |= {"used": _rounded(pair["used_distance"]), "metric": pair["used_metric"]}
-            if edge is not None:
-                found |= {"emitted": True, "in_text": edge["true_in_text"], "margin": _rounded(edge["margin"])}
-        return found
+        measures = self._room(subject.room_id).criteria(predicate, name, qualifier.anchor_ids, surface)
+        return found | decided(predicate, measures, truth)
+
+    def _room(self, room_id: str) -> RoomMeasures:
+        if room_id not in self._rooms:
+            self._rooms[room_id] = RoomMeasures(self._scene.arrays(room_id), self._thresholds)
+        return self._rooms[room_id]
 
 
 def rule_of(qualifier: Qualifier | None, thresholds: Thresholds) -> str:
@@ -104,42 +121,38 @@ def rule_of(qualifier: Qualifier | None, thresholds: Thresholds) -> str:
         return "the room holds such an object that can be seen"
     t, predicate = thresholds, qualifier.predicate
     rules = {
-        "near": f"distance ≤ {t.near_true:g} m, denied from {t.near_false:g} m",
-        "far from": f"distance ≥ {t.far_true:g} m, denied up to {t.far_false:g} m",
-        "higher than": f"centre ≥ {t.height_true:g} m higher, denied below {t.height_false:g} m",
-        "lower than": f"centre ≥ {t.height_true:g} m lower, denied below {t.height_false:g} m",
-        "above": f"centre ≥ {t.height_true:g} m higher and ≤ {t.over_horizontal_true:g} m apart on the ground",
-        "below": f"centre ≥ {t.height_true:g} m lower and ≤ {t.over_horizontal_true:g} m apart on the ground",
-        "on": "rests on it",
-        "in": "lies in it",
-        "under": "stands under it",
-        "between": "stands between the two",
-        "closest to": "the closest of its kind",
+        "near": f"the things are at most {t.near_true:g} m apart; false from {t.near_false:g} m on the ground",
+        "far from": f"the things are at least {t.far_true:g} m apart; false up to {t.far_false:g} m",
+        "on": f"its bottom is within {t.on_gap_true:g} m of the anchor's top, with half of its footprint over it, or "
+        f"the source says so; false if the footprints are apart or its bottom is {t.on_gap_false:g} m higher",
+        "in": f"{t.in_share_true:.0%} of it is inside the open anchor; false if they are apart",
+        "between": "it is on the floor, close to the line between the two, about half way along it",
     }
-    if predicate in _BEARINGS:
-        return f"bearing at the start within 30° of {predicate}"
-    return rules.get(predicate, f"direction within 15° of {predicate.removesuffix(' of')}")
+    for way, word in (("higher", "over"), ("lower", "below")):
+        rules[f"{way} than"] = (
+            f"its centre is at least {t.height_true:g} m {word} the anchor's and its top {t.top_true:g} m; "
+            f"false up to {t.height_false:g} m and {t.top_false:g} m"
+        )
+    for name in ("above", "below"):
+        rules[name] = (
+            f"the centres are {t.height_true:g} m apart in height and at most {t.over_horizontal_true:g} m on the "
+            f"ground, with a gap; false up to {t.height_false:g} m, or from {t.over_apart_false:g} m between footprints"
+        )
+    if predicate in BEARINGS:
+        return (
+            f"its centre is within {t.bearing_true:g}° of {predicate} as one starts, the whole of it within "
+            f"{t.bearing_false:g}°; false from {t.bearing_false:g}°"
+        )
+    direction = predicate.removesuffix(" of")
+    compass = (
+        f"its centre is within {t.sector_true:g}° of {direction} of the anchor's; false beyond {t.sector_denied:g}°"
+    )
+    return rules.get(predicate, compass)
 
 
-def _deciding(predicate: str, pair: Row) -> tuple[str, float | None, str]:
-    if predicate in ("near", "far from", "closest to"):
-        return "distance", pair["used_distance"], _METRES
-    if predicate in ("higher than", "lower than", "above", "below"):
-        return "height difference", None if pair["delta"] is None else -pair["delta"][1], _METRES
-    sector = _SECTORS.get(predicate.removesuffix(" of"))
-    if sector is not None:
-        azimuth = pair["azimuth"]
-        off = None if azimuth is None else abs((azimuth - sector + 180.0) % 360.0 - 180.0)
-        return "off the direction", off, _DEGREES
-    if predicate in ("on", "in", "under"):
-        return "footprint overlap", pair["footprint_overlap"], _SHARE
-    return "distance", pair["used_distance"], _METRES
-
-
-def _turned(item: SceneObject, start: Row, heading: float) -> float:
-    """Return the bearing of an object from the start, degrees clockwise from straight ahead, −180 to 180."""
-    east, north = float(item.center[0]) - start["x"], start["z"] - float(item.center[2])
-    return (math.degrees(math.atan2(east, north)) - heading + 180.0) % 360.0 - 180.0
+def _margin(thing: Document) -> float:
+    margin = thing.get("margin")
+    return -1.0 if margin is None else float(margin)
 
 
 def _rounded(value: float | None) -> float | None:

@@ -23,7 +23,8 @@ Document = dict[str, Any]
 PAGE: Final = "index.html"
 DATA: Final = "data"
 PARTS: Final = ("page.html", "page.css", "chunks.js", "elements.js", "episodes.js", "plan.js", "instruction.js",
-                "walk.js", "episode.js", "browse.js", "statistics.js", "agents.js", "scene.js", "page.js")  # fmt: skip
+                "evidence.js", "walk.js", "episode.js", "browse.js", "statistics.js", "agents.js", "scene.js",
+                "page.js")  # fmt: skip
 EPISODES_A_CHUNK: Final = 100
 TEXTS_A_CHUNK: Final = 4000
 

@@ -15,7 +15,7 @@ from condvln.navigation.sight import View, eyes_at
 from condvln.sensors import cameras_of
 from condvln.sensors.pictures import png
 from condvln.sensors.renderer import Renderer
-from schemas.config import EpisodeConfig, PlacesConfig
+from schemas.config import CameraConfig, EpisodeConfig, PlacesConfig
 from schemas.config.constants import EYE_SPACING
 
 __all__ = ["first_views", "pictures"]
@@ -31,7 +31,8 @@ def first_views(
     episode: Mapping[str, Any], view: SceneView, places: PlacesConfig, rules: EpisodeConfig
 ) -> dict[str, Document]:
     """Return, by condition of the gold route, the first place on the gold path at which the objects that decide the
-    condition have been seen: the position ``at``, and ``walked``, the metres walked from the start.
+    condition have been seen: the position ``at``, ``walked``, the metres walked from the start, and the first of these
+    objects.
 
     A condition is left out if no object decides it, or if its objects are not all seen from the path.
 
@@ -52,12 +53,25 @@ def first_views(
         decided = np.all(known, axis=0)
         if decided.any():
             first = int(np.argmax(decided))
-            found[str(k)] = {"at": path[first].round(3).tolist(), "walked": round(float(walked[first]), 2)}
+            found[str(k)] = {
+                "at": path[first].round(3).tolist(),
+                "walked": round(float(walked[first]), 2),
+                "object": names[0],
+            }
     return found
 
 
-def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[str, bytes]]:
-    """Yield a caption and a PNG for the first view and for places along the gold path, looking ahead."""
+def pictures(
+    episode: Mapping[str, Any], renderer: Renderer, centers: Mapping[str, NDArray[np.float64]]
+) -> Iterator[tuple[str, bytes]]:
+    """Yield a caption and a PNG for the first view and for places along the gold path, looking ahead, then for the
+    places from which conditions are first decided, looking at the object that decides.
+
+    Parameters
+    ----------
+    episode : a document with ``views``
+    centers : by object id, metres
+    """
     camera = next(camera for name, camera in cameras_of(CAMERA).items() if name.startswith("rgb"))
     path = np.array(episode["leaves"][episode["gold"]]["path"], dtype=np.float64)
     places, walked = _spaced(path, EYE_SPACING)
@@ -68,8 +82,18 @@ def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[s
         else:
             ahead = places[min(at + 1, len(places) - 1)] - places[min(at, len(places) - 2)]
             heading, caption = math.atan2(-ahead[0], -ahead[2]), f"{walked[at]:.1f} m along the gold path"
-        seen = shaded(renderer.look(camera, places[at], heading), renderer.labels, camera.hfov)
-        yield caption, png(np.ascontiguousarray(seen[::2, ::2]))
+        yield caption, _picture(renderer, camera, places[at], heading)
+    for k, view in sorted(episode["views"].items()):
+        place = np.array(view["at"], dtype=np.float64)
+        ahead = centers[view["object"]] - place
+        label = episode["program"]["conditions"][int(k)]["label"]
+        caption = f"{view['walked']:.1f} m along the gold path, looking at the {label} of {'ABCDEFGH'[int(k)]}"
+        yield caption, _picture(renderer, camera, place, math.atan2(-ahead[0], -ahead[2]))
+
+
+def _picture(renderer: Renderer, camera: CameraConfig, place: F64, heading: float) -> bytes:
+    seen = shaded(renderer.look(camera, place, heading), renderer.labels, camera.hfov)
+    return png(np.ascontiguousarray(seen[::2, ::2]))
 
 
 def _deciding(facts: Mapping[str, Any], condition: Mapping[str, Any]) -> list[str]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from pathlib import Path
 
 import pytest
@@ -151,12 +153,44 @@ def test_a_condition_shows_its_witness_and_measure(page: Page, made: Run) -> Non
     assert objects(page, "anchor") == [anchor]
     sql = f"""select used_distance from relations where scene_id = '{row["scene_id"]}' and kind = 'canonical'
         and source = '{row["source"]}' and subject = '{condition["witnesses"][0]}' and target = '{anchor}'"""
-    shown = next(line for line in cells(page, "facts") if f"({condition['witnesses'][0]})|" in line)
-    assert f"distance {made.ask(sql)[0][0]:.2f} m" in shown
-    assert "margin" in "".join(page.texts("[data-table='facts'] thead"))
-    assert f"Certificate: {str(condition['truth']).lower()}" in page.one(".details").text
+    shown = next(line for line in cells(page, "facts") if f"({condition['witnesses'][0]}) witness|distance" in line)
+    used = made.ask(sql)[0][0]
+    assert f"|{used:.2f} m|" in shown
+    verdict = page.one(".verdict").text
+    assert verdict.startswith("✔ True: ")
+    assert re.search(r"so true, by \d+\.\d\d m\.$", verdict)
+    assert "Certificate, by other code: true; distance " in page.one(".proof").text
     page.hover("h1")
     assert page.all(".object.witness") == []
+
+
+def test_a_false_condition_shows_its_nearest_rival_and_margin(page: Page, made: Run) -> None:
+    name, k = relational(made, False)
+    row = made.manifest[name]
+    condition = row["program"]["conditions"][k]
+    page.go(f"#/episode/{name}")
+    page.one(f".tree [data-condition='{k}']").click()
+    rivals = objects(page, "rival")
+    assert rivals
+    anchor = condition["qualifier"]["anchors"][0]["object_id"]
+    predicate = condition["qualifier"]["predicate"]
+    quantity = "used_distance" if predicate == "far from" else "greatest(0, 0)"
+    decided = [line.split("|") for line in cells(page, "facts") if "decides" in line]
+    assert len(decided) == len(rivals)
+    margins = [float(line[-1].removesuffix(" m")) for line in decided]
+    assert margins == sorted(margins), "the nearest to being a witness comes first"
+    verdict = page.one(".verdict").text
+    assert verdict.startswith("✘ False: ")
+    assert f"so false, by {margins[0]:.2f} m" in verdict
+    sql = f"""select subject, greatest(a.aabb_min.x - b.aabb_max.x, b.aabb_min.x - a.aabb_max.x, 0) as x,
+        greatest(a.aabb_min.z - b.aabb_max.z, b.aabb_min.z - a.aabb_max.z, 0) as z, {quantity} from relations
+        join objects a on a.object_id = subject and a.scene_id = relations.scene_id and a.source = relations.source
+        join objects b on b.object_id = target and b.scene_id = relations.scene_id and b.source = relations.source
+        where relations.kind = 'canonical' and relations.scene_id = '{row["scene_id"]}' and target = '{anchor}'
+        and relations.source = '{row["source"]}' and list_contains({rivals}, subject)"""
+    for _, x, z, used in made.ask(sql):
+        value = used if predicate == "far from" else math.hypot(x, z)
+        assert any(line[-3] == f"{value:.2f} m" for line in decided), (value, decided)
 
 
 def test_text_tree_and_plan_are_linked(page: Page, made: Run) -> None:
@@ -213,7 +247,7 @@ def test_playback_walks_to_the_goal(page: Page, made: Run) -> None:
         slider.value = slider.max; slider.dispatchEvent(new Event('input'))""")
     after = next(row for row in cells(page, "walks") if row.startswith("perfect"))
     assert float(after.split("|")[2]) < made.manifest[name]["success_distance"]
-    assert f"success leaf {made.manifest[name]['gold_leaf']}" in after
+    assert after.endswith(f"|success leaf {made.manifest[name]['gold_leaf']}")
     page.one("[data-agent='always-then']").click()
     assert len(cells(page, "walks")) == 3
 

@@ -27,15 +27,15 @@
       for (const row of own) {
         const at = x(String(row[axis]), k);
         const { low, high, mean } = row[measure];
-        node.append(svg("g", { class: `point agent-${k % 4}` }, svg("title", {}, `${agent}, ${axis} ${row[axis]}: ${(mean * 100).toFixed(1)}${low === null ? "" : ` [${(low * 100).toFixed(1)}, ${(high * 100).toFixed(1)}]`}`),
-          low === null ? null : svg("path", { d: `M${at} ${y(low)}V${y(high)}` }), svg("circle", { cx: at, cy: y(mean), r: 3.5 })));
+        node.append(svg("g", { class: `point agent-${k % 4}`, "data-y": y(mean) }, svg("title", {}, `${agent}, ${axis} ${row[axis]}: ${(mean * 100).toFixed(1)}${low === null ? "" : ` [${(low * 100).toFixed(1)}, ${(high * 100).toFixed(1)}]`}`),
+          low === null ? null : svg("path", { d: `M${at} ${y(low)}V${y(high)}` }), explorer.bead(at, y(mean), `agent-${k % 4}`, explorer.SHAPES[k % 4])));
       }
     });
     return element("figure", {}, element("figcaption", {}, `${title}, %`), node);
   }
 
   function key(agents) {
-    return element("ul", { class: "legend" }, agents.map((agent, k) => element("li", {}, element("span", { class: `key line agent-${k % 4}` }), agent)));
+    return element("ul", { class: "legend" }, agents.map((agent, k) => element("li", {}, explorer.sample(`walk agent-${k % 4}`, explorer.SHAPES[k % 4]), agent)));
   }
 
   function sweeps(tables) {
@@ -58,14 +58,34 @@
     return explorer.table(`Where ${first.name} and ${second.name} differ`, ["episodes", ...used.map((k) => `#${second.name}: ${outcomes[k]}`)], rows, "compared");
   }
 
-  function comparison() {
+  const AXES = { category: "category", depth: "depth", chain: "chain", source: "source", observability: "observability" };
+
+  /* Return the tables of differences between two agents, by category, depth and so on. */
+  function better(tables, first, second) {
+    return tables.filter((table) => table.name === "differences").map((table) => {
+      const own = table.cells.filter((row) => row[0] === first && row[1] === second);
+      if (!own.length) return "";
+      const rows = own.map((row) => {
+        const [, , axis, value, ...numbers] = row;
+        const label = axis === "all" ? "all episodes" : `${axis} ${value}`;
+        const asked = { split: table.split, [AXES[axis]]: value };
+        return [axis === "all" ? link(label, "browse", { split: table.split }) : AXES[axis] ? link(label, "browse", asked) : label, ...numbers];
+      });
+      const heads = [`#SR of ${first}`, `#SR of ${second}`, ...table.headings.slice(6)];
+      return element("div", { "data-split": table.split },
+        explorer.table(`How much better ${first} is than ${second} (${table.split}), in percentage points`, ["episodes", ...heads], rows, "differences"),
+        element("p", { class: "note" }, table.note));
+    });
+  }
+
+  function comparison(tables) {
     const { agents } = explorer.index;
     if (agents.length < 2) return "";
     const holder = element("div", {});
     const choice = (start, id, title) => element("select", { id, "aria-label": title }, agents.map((agent, k) => element("option", { value: k, selected: k === start }, agent.name)));
     const one = choice(0, "first-agent", "First agent");
     const other = choice(1, "second-agent", "Second agent");
-    const draw = () => holder.replaceChildren(compared(agents[one.value], agents[other.value]));
+    const draw = () => holder.replaceChildren(compared(agents[one.value], agents[other.value]), ...better(tables, agents[one.value].name, agents[other.value].name));
     one.addEventListener("change", draw);
     other.addEventListener("change", draw);
     draw();
@@ -89,9 +109,9 @@
       return "Agents";
     }
     const { tables } = await explorer.load("agents");
-    const rest = new Set(["main", "by_depth", "by_chain"]);
+    const rest = new Set(["main", "by_depth", "by_chain", "differences"]);
     main.replaceChildren(element("h1", {}, "Agents"), outcomesOf(), tables.filter((table) => table.name === "main").map(shown)[0] || "");
-    main.append(...tables.filter((table) => table.name === "main").slice(1).map(shown), element("h2", {}, "Depth and chain"), ...sweeps(tables), comparison() || "",
+    main.append(...tables.filter((table) => table.name === "main").slice(1).map(shown), element("h2", {}, "Depth and chain"), ...sweeps(tables), comparison(tables) || "",
       element("details", {}, element("summary", {}, "All tables"), tables.filter((table) => !rest.has(table.name)).map(shown)));
     return "Agents";
   };

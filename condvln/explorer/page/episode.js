@@ -6,7 +6,7 @@
   const AXES = {
     C0: "C0, all in one room", C1: "C1, several rooms", C2: "C2, condition and leaves in three rooms",
     O0: "O0, evidence seen from the start", O0f: "O0f, evidence in the first view",
-    O1: "O1, seen on the way that all leaves share", O2: "O2, seen only after a detour",
+    O1: "O1, seen on the way that all leaves share", O2: "O2, not seen before the ways to the leaves part",
   };
 
   /* Draw an episode over a plan. Returns `choose(about)`, which marks a condition or a leaf, or nothing. */
@@ -24,7 +24,7 @@
         const kind = leaf === gold ? "gold" : `leaf-${leaf.leaf % 4}`;
         const nodes = [plan.way("paths", leaf.path, kind)];
         for (const [k, stop] of leaf.stops.entries()) {
-          nodes.push(plan.mark(stop.at, `stop ${kind}`, String(k + 1), `leaf ${leaf.leaf}, stop ${k + 1}: ${explorer.thing(plan.scene, stop.object)}`));
+          nodes.push(plan.mark(stop.at, `stop ${kind}`, String.fromCharCode(97 + k), `leaf ${leaf.leaf}, stop ${k + 1}: ${explorer.thing(plan.scene, stop.object)}`));
         }
         for (const goal of leaf.goals.slice(1)) nodes.push(plan.mark(goal, `dot ${kind}`, "", `leaf ${leaf.leaf}: another goal point`));
         const end = leaf.path[leaf.path.length - 1];
@@ -38,12 +38,14 @@
     function mark(about) {
       if (!plan) return;
       plan.clear("rays");
+      plan.name([]);
       for (const kind of ["witness", "rival", "anchor", "goal"]) plan.light(kind, []);
       for (const nodes of leaves.values()) for (const node of nodes) node.classList.remove("lit", "dim");
       if (about?.leaf !== undefined) {
         const leaf = episode.leaves.find((one) => one.leaf === about.leaf);
         for (const [name, nodes] of leaves) for (const node of nodes) node.classList.add(name === about.leaf ? "lit" : "dim");
         plan.light("goal", [leaf.object, ...leaf.stops.map((stop) => stop.object)]);
+        plan.name([leaf.object, ...leaf.stops.map((stop) => stop.object)]);
       }
       if (about?.condition !== undefined) markCondition(about.condition);
     }
@@ -55,6 +57,7 @@
       plan.light("witness", things.filter((thing) => thing.role === "witness").map((thing) => thing.id));
       plan.light("rival", things.filter((thing) => thing.role !== "witness").map((thing) => thing.id));
       plan.light("anchor", anchors);
+      plan.name([...things.map((thing) => thing.id), ...anchors]);
       const centre = (id) => plan.scene.objects.find((item) => item.id === id)?.center;
       const targets = things.map((thing) => centre(thing.id)).filter(Boolean);
       for (const anchor of anchors.map(centre).filter(Boolean)) {
@@ -63,7 +66,8 @@
       const view = episode.views?.[index];
       if (view) {
         for (const target of [...targets, ...anchors.map(centre).filter(Boolean)]) plan.way("rays", [view.at, target], "ray");
-        plan.layers.rays.append(plan.mark(view.at, "eye", "", `first seen from here, ${number(view.walked, 1)} m along the gold path`));
+        const eye = plan.mark(view.at, "eye", "", `first seen from here, ${number(view.walked, 1)} m along the gold path`);
+        plan.layers.named.append(eye, explorer.svg("text", { x: plan.x(view.at[0]), y: plan.y(view.at[2]) + 22, class: "eye-label", "font-size": 11 }, "first seen here"));
       }
     }
 
@@ -109,13 +113,16 @@
     if (!scene.rooms.length) switches.append(element("span", { class: "note" }, "An export has no furniture; name its configuration to see it."));
     const resized = explorer.later(() => { if (holder.isConnected && Math.abs(holder.clientWidth - plan.width) > 2) draw(); }, 120);
     new ResizeObserver(resized).observe(holder);
-    return { node: element("div", { class: "plan-panel" }, holder, switches, legend()), draw };
+    return { node: element("div", { class: "plan-panel" }, holder, switches, legend(episode)), draw };
   }
 
-  function legend() {
-    const entries = [["start", "start and heading"], ["gold", "★ gold leaf and its path"], ["other", "other leaves"],
-      ["witness", "witness"], ["rival", "rival or elsewhere"], ["anchor", "anchor"]];
-    return element("ul", { class: "legend" }, entries.map(([kind, text]) => element("li", {}, element("span", { class: `key ${kind}` }), text)));
+  /* Every line of the plan with its meaning: leaves by number, then the marks; agents have theirs beside their names. */
+  function legend(episode) {
+    const ways = episode.leaves.map((leaf) => (leaf.leaf === episode.gold ? ["gold", `★ leaf ${leaf.leaf}, gold`] : [`leaf-${leaf.leaf % 4}`, `leaf ${leaf.leaf}`]));
+    const stops = episode.leaves.some((leaf) => leaf.stops.length) ? [element("li", {}, element("span", { class: "key stop" }, "a"), element("span", { class: "key stop" }, "b"), "stops before the goal, in their order")] : [];
+    const entries = [["start", "start and heading"], ["witness", "witness"], ["rival", "rival or elsewhere"], ["anchor", "anchor"]];
+    return element("ul", { class: "legend", "aria-label": "Legend of the plan" }, ways.map(([kind, text]) => element("li", {}, explorer.sample(kind), text)), stops,
+      entries.map(([kind, text]) => element("li", {}, element("span", { class: `key ${kind}` }), text)));
   }
 
   function fact(name, value) {
@@ -168,7 +175,7 @@
 
   function frames(episode) {
     if (!episode.frames.length) return null;
-    return element("section", {}, element("h2", {}, "What is seen"),
+    return element("section", { class: "seen-frames" }, element("h2", {}, "What is seen"),
       element("p", { class: "note" }, "Drawn from the dataset's own geometry. Things without a texture have one colour for each label; nothing is known where it is grey."), element("div", { class: "frames" },
       episode.frames.map((frame) => element("figure", {}, element("img", { src: frame.file, alt: frame.caption, loading: "lazy" }),
         element("figcaption", {}, frame.caption)))));
@@ -199,6 +206,7 @@
       element("div", { class: "right" }, explorer.instructionText(episode, choose), explorer.tree(episode, choose), details,
         small ? null : leafTable(episode, scene), small ? null : agentTable(row), small ? null : axes(episode)));
     if (!small) root.append(frames(episode) || "");
+    root.classList.toggle("seen", !small && episode.frames.length > 0);
     return { node: root, episode, shown: panel.draw };
   };
 

@@ -76,39 +76,5 @@
     return element("div", { class: "tree", role: "group", "aria-label": "Decision tree" }, branchNode(0));
   };
 
-  const LEVELS = { O0: "seen from the start", O1: "seen on the way that all leaves share", O2: "seen only after a detour" };
-
-  /* Return what decides a condition: rule, things with measures, what the certificate says, and where it is seen. */
-  explorer.facts = (episode, number_, scene) => {
-    const condition = episode.program.conditions[number_];
-    const facts = episode.facts?.[number_];
-    const proof = episode.certificate?.conditions?.[number_];
-    const evidence = episode.evidence.find((one) => one.condition === number_);
-    const view = episode.views?.[number_];
-    const lines = [element("h3", {}, `${letter(number_)}: ${explorer.conditionName(condition)} — ${condition.truth ? "true" : "false"}`)];
-    if (facts) {
-      const rows = facts.things.map((thing) => [
-        explorer.thing(scene, thing.id), thing.role,
-        thing.value === undefined || thing.value === null ? "–" : `${thing.measure} ${number(thing.value)} ${thing.unit}`,
-        thing.margin === undefined || thing.margin === null ? "–" : number(thing.margin)]);
-      lines.push(element("p", {}, `Rule: ${facts.rule}.`));
-      lines.push(rows.length ? explorer.table("Things that decide it", ["thing", "role", "measure", "#margin"], rows, "facts")
-        : element("p", {}, `No ${condition.label} is in this room, nor anywhere else in the scene.`));
-    } else if (condition.witnesses.length) {
-      lines.push(element("p", {}, `Witnesses: ${condition.witnesses.map((id) => explorer.thing(scene, id)).join(", ")}.`));
-    }
-    if (proof) {
-      const numbers = Object.entries(proof.numbers).filter(([, value]) => value !== null).map(([name, value]) => `${name.replaceAll("_", " ")} ${number(value, 3)}`);
-      lines.push(element("p", { class: "proof" },
-        `Certificate: ${proof.truth ? "true" : "false"}${numbers.length ? `, ${numbers.join(", ")}` : ""}.`));
-    }
-    if (evidence) lines.push(element("p", { class: "seen" },
-      `Evidence: ${LEVELS[evidence.observability] || evidence.observability}${evidence.in_view ? ", in the first view" : ""}.`));
-    else lines.push(element("p", { class: "seen" }, "It is not asked on the gold route."));
-    if (view) lines.push(element("p", { class: "first-seen" },
-      `First seen ${number(view.walked, 1)} m along the gold path, marked with an eye on the plan.`));
-    return element("div", { class: "facts" }, lines);
-  };
-
   explorer.letter = letter;
 }

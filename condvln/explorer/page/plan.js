@@ -56,6 +56,7 @@
       Object.assign(this, { container, scene, options });
       this.level = options.level ?? null;
       this.shapes = new Map();
+      this.labelOf = new Map();
       this.draw();
     }
 
@@ -73,16 +74,17 @@
       this.height = height;
       this.labels = new Labels(width, height);
       this.shapes.clear();
+      this.labelOf.clear();
       this.node = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, height, class: "plan", role: "group",
         "aria-label": options.title || "Plan from above, north up" });
       this.layers = {};
-      for (const name of ["floor", "rooms", "objects", "rays", "paths", "walk", "marks", "labels"]) {
+      for (const name of ["rooms", "floor", "objects", "rays", "paths", "walk", "marks", "labels", "named"]) {
         this.layers[name] = svg("g", { class: `layer-${name}` });
         this.node.append(this.layers[name]);
       }
       if (options.navmesh === false) this.layers.floor.classList.add("off");
-      this.drawFloor();
       this.drawRooms();
+      this.drawFloor();  // over the walls, so that they are open where one can walk
       this.drawObjects();
       if (options.over) options.over(this);
       this.labelThings();
@@ -160,13 +162,16 @@
         if (!this.shapes.has(item.id) || item.structure) continue;
         const wanted = named.has(item.id);
         const around = wanted ? [[0, 0], [0, -12], [0, 12], [34, 0], [-34, 0], [0, -22], [0, 22]] : [[0, 0]];
-        this.label(this.x(item.center[0]), this.y(item.center[2]), item.label, wanted ? "object-label named" : "object-label", FONT - 1, around);
+        const label = this.label(this.x(item.center[0]), this.y(item.center[2]), item.label, wanted ? "object-label named" : "object-label", FONT - 1, around);
+        if (label) this.labelOf.set(item.id, label);
       }
     }
 
     label(x, y, text, kind, size, around) {
       const at = this.labels.place(x, y, text, size, around);
-      if (at) this.layers.labels.append(svg("text", { x: at[0], y: at[1] + size * 0.35, class: kind, "font-size": size }, text));
+      const node = at && svg("text", { x: at[0], y: at[1] + size * 0.35, class: kind, "font-size": size }, text);
+      if (node) this.layers.labels.append(node);
+      return node;
     }
 
     drawScale() {
@@ -184,6 +189,35 @@
       return line;
     }
 
+    /* Draw small shapes along a way, so that it is known without its colour. */
+    beads(layer, path, kind, shape) {
+      const apart = 34;
+      let walked = apart / 2;
+      for (let k = 1; k < path.length; k += 1) {
+        const [x0, y0, x1, y1] = [this.x(path[k - 1][0]), this.y(path[k - 1][2]), this.x(path[k][0]), this.y(path[k][2])];
+        const length = Math.hypot(x1 - x0, y1 - y0);
+        for (; walked <= length; walked += apart) {
+          const part = walked / length;
+          this.layers[layer].append(explorer.bead(x0 + part * (x1 - x0), y0 + part * (y1 - y0), kind, shape));
+        }
+        walked -= length;
+      }
+    }
+
+    /* Write the names of objects that are marked now, over everything else. */
+    name(ids) {
+      this.clear("named");
+      for (const [id, label] of this.labelOf) label.classList.toggle("off", ids.includes(id));
+      const labels = new Labels(this.width, this.height);
+      for (const id of ids) {
+        const item = this.scene.objects.find((one) => one.id === id);
+        if (!item || !this.shapes.has(id)) continue;
+        const around = [[0, -14], [0, 14], [0, -28], [0, 28], [46, 0], [-46, 0], [46, -16], [-46, 16]];
+        const at = labels.place(this.x(item.center[0]), this.y(item.center[2]), item.label, FONT, around);
+        if (at) this.layers.named.append(svg("text", { x: at[0], y: at[1] + FONT * 0.35, class: "marked-label", "font-size": FONT }, item.label));
+      }
+    }
+
     /* Draw a mark with a short text on it. */
     mark(position, kind, text, title) {
       const [x, y] = [this.x(position[0]), this.y(position[2])];
@@ -192,7 +226,7 @@
         goal: () => svg("rect", { x: x - 8, y: y - 8, width: 16, height: 16, rx: 3 }),
         stop: () => svg("circle", { cx: x, cy: y, r: 7 }),
         dot: () => svg("circle", { cx: x, cy: y, r: 2.5 }),
-        eye: () => svg("path", { d: `M${x - 8} ${y}Q${x} ${y - 9} ${x + 8} ${y}Q${x} ${y + 9} ${x - 8} ${y}Z` }),
+        eye: () => [svg("path", { d: `M${x - 11} ${y}Q${x} ${y - 13} ${x + 11} ${y}Q${x} ${y + 13} ${x - 11} ${y}Z` }), svg("circle", { cx: x, cy: y, r: 3.5 })],
       };
       const shape = kind.split(" ")[0];
       const node = svg("g", { class: `mark ${kind}` }, svg("title", {}, title || text), shapes[shape]());
@@ -226,6 +260,19 @@
       for (const name of layers) this.layers[name].replaceChildren();
     }
   }
+
+  /* The shapes of agents, in their order. */
+  explorer.SHAPES = ["circle", "square", "triangle", "diamond"];
+  explorer.bead = (x, y, kind, shape) => {
+    const r = 3.6;
+    const corners = { square: `M${x - r} ${y - r}h${2 * r}v${2 * r}h${-2 * r}Z`, triangle: `M${x} ${y - r - 1}l${r + 1} ${2 * r}h${-2 * r - 2}Z`,
+      diamond: `M${x} ${y - r - 1.5}l${r + 1.5} ${r + 1.5}l${-r - 1.5} ${r + 1.5}l${-r - 1.5} ${-r - 1.5}Z` };
+    return shape === "circle" ? svg("circle", { cx: x, cy: y, r, class: `bead ${kind}` }) : svg("path", { d: corners[shape], class: `bead ${kind}` });
+  };
+
+  /* Return a piece of a way as a sample for a legend; `shape` for an agent's. */
+  explorer.sample = (kind, shape) => svg("svg", { viewBox: "0 0 38 14", class: "sample", "aria-hidden": "true" },
+    svg("polyline", { points: "2,7 36,7", class: `way ${kind}` }), shape ? explorer.bead(19, 7, kind.replace("walk ", ""), shape) : null);
 
   function star(x, y, radius) {
     const corners = [];

@@ -21,12 +21,12 @@
       this.slider = element("input", { type: "range", min: 0, max: this.length - 1, value: 0, "aria-label": "Step of the walk",
         oninput: () => this.go(Number(this.slider.value)) });
       this.readout = element("div", { class: "readout" });
-      const boxes = this.agents.map((agent, k) => element("label", { class: `agent agent-${k % 4}` },
+      const boxes = this.agents.map((agent, k) => element("label", { class: "agent" },
         element("input", { type: "checkbox", checked: this.shown.has(agent), "data-agent": agent, onchange: (event) => {
           if (event.target.checked) this.shown.add(agent);
           else this.shown.delete(agent);
           this.draw();
-        } }), " ", agent));
+        } }), explorer.sample(`walk agent-${k % 4}`, explorer.SHAPES[k % 4]), agent));
       this.chart = element("div", { class: "chart" });
       this.node = element("section", { class: "playback", "aria-label": "Agents' walks" },
         element("h2", {}, "Agents' walks"), element("div", { class: "row" }, boxes),
@@ -69,10 +69,12 @@
         if (!this.shown.has(agent)) continue;
         const walk = this.walks[agent];
         const at = Math.min(this.step, walk.path.length - 1);
+        this.plan.way("walk", walk.path.slice(at), `walk ahead agent-${k % 4}`);
         this.plan.way("walk", walk.path.slice(0, at + 1), `walk agent-${k % 4}`);
+        this.plan.beads("walk", walk.path, `agent-${k % 4}`, explorer.SHAPES[k % 4]);
         this.plan.arrow("walk", walk.path[at], heading(walk, at), `agent-${k % 4}`, 12);
         const done = at === walk.path.length - 1;
-        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), done ? this.outcome(agent) : "…"]);
+        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), `${done ? "" : "ends with: "}${this.outcome(agent)}`]);
       }
       const geodesic = this.agents.every((agent) => this.walks[agent].geodesic);
       const distance = geodesic ? "#metres to goal" : "#metres to goal (straight)";
@@ -96,6 +98,10 @@
         const points = this.walks[agent].distance
           .map((value, step) => (value === null ? "" : `${x(step).toFixed(1)},${y(value).toFixed(1)}`)).filter(Boolean);
         node.append(svg("polyline", { points: points.join(" "), class: `way walk agent-${k % 4}` }));
+        const every = Math.max(1, Math.round(points.length / 6));
+        for (let at = Math.floor(every / 2); at < points.length; at += every) {
+          node.append(explorer.bead(...points[at].split(",").map(Number), `agent-${k % 4}`, explorer.SHAPES[k % 4]));
+        }
       }
       node.append(svg("path", { class: "now", d: `M${x(this.step)} 6V${height - bottom}` }));
       this.chart.replaceChildren(node);

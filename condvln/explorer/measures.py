@@ -1,0 +1,310 @@
+"""The quantities that decide a relation between objects, with the bounds that text uses and the margin to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.relations.bearing import BEARING_DEGREES, sighted
+from condvln.relations.compass import COMPASS, sector_deviation
+from condvln.relations.holding import holding_of
+from condvln.relations.metrics import AABB, SPHERE, pair_metrics
+from condvln.relations.pieces import Pieces
+from condvln.relations.stacking import stacking_of
+from condvln.scene import RoomArrays
+from schemas.config import Thresholds
+
+__all__ = ["Criterion", "RoomMeasures", "bearing_criteria", "decided"]
+
+F64 = NDArray[np.float64]
+Bound = tuple[str, float]
+"""An operator of `_WORDS` and a number in the unit of the criterion."""
+
+_WORDS: Final = {"≤": "at most", "≥": "at least", "<": "less than", ">": "more than", "±": "within"}
+_DECIMALS: Final = {"m": 2, "°": 1, "%": 0}
+_TOLERANCE: Final = 1e-6
+"""Of a comparison with a bound: distances are roots of whole millimetres."""
+_OF_ONE_PIECE: Final = frozenset(("on", "in", "near", "above", "below"))
+"""Predicates that are true of an object of several pieces if they are true of one pair of pieces."""
+_ON_ALL: Final = frozenset(("higher than", "lower than"))
+"""Predicates that are false only if every criterion says so; for the others, one criterion is enough."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One quantity of a relation.
+
+    Attributes
+    ----------
+    value : in `unit`: metres, degrees or per cent
+    true, false : what the quantity must be for the relation to be true or false in text; None if that side does not
+        look at it
+    """
+
+    name: str
+    value: float
+    unit: str
+    true: Bound | None = None
+    false: Bound | None = None
+
+    @property
+    def shown(self) -> float:
+        """Value as the page writes it."""
+        return round(float(self.value), _DECIMALS[self.unit])
+
+    def slack(self, truth: bool) -> float:
+        """Return how far the value is on the right side of the bound; negative on the wrong side, and minus infinity if
+        this side has no bound or the value is unknown.
+        """
+        return self._within(float(self.value), truth)
+
+    def margin(self, truth: bool) -> float:
+        """Return the difference of what is written: of the shown value and the bound."""
+        return max(0.0, self._within(self.shown, truth))
+
+    def _within(self, value: float, truth: bool) -> float:
+        bound = self.true if truth else self.false
+        if bound is None or not np.isfinite(value):
+            return -np.inf
+        operator, limit = bound
+        if operator == "±":
+            return limit - abs(value)
+        return limit - value if operator in "≤<" else value - limit
+
+    def closeness(self, truth: bool) -> float:
+        """Return the slack relative to the width of the dead zone, or else to the bound, by which criteria in different
+        units are compared.
+        """
+        bounds = [bound[1] for bound in (self.true, self.false) if bound is not None]
+        width = abs(bounds[0] - bounds[1]) if len(bounds) == 2 else abs(bounds[0]) if bounds else 0.0
+        return self.slack(truth) / (width or 1.0)
+
+    def written(self, value: float) -> str:
+        """Return a value of this criterion with its unit."""
+        gap = "" if self.unit == "°" else " "
+        return f"{value:.{_DECIMALS[self.unit]}f}{gap}{self.unit}"
+
+    def bound(self, truth: bool) -> str:
+        """Return in words what the quantity must be on one side; empty if that side does not look at it."""
+        found = self.true if truth else self.false
+        if found is None:
+            return ""
+        return f"{_WORDS[found[0]]} {self.written(found[1]) if found[1] else f'0 {self.unit}'}"
+
+    def document(self, decides: bool) -> dict[str, Any]:
+        """Return the criterion as the page shows it."""
+        return {
+            "name": self.name,
+            "value": None if not np.isfinite(self.value) else self.shown,
+            "unit": self.unit,
+            "true": self.bound(True),
+            "false": self.bound(False),
+            "decides": decides,
+        }
+
+
+class RoomMeasures:
+    """The criteria of the relations between the objects of one room, looked up by object id."""
+
+    def __init__(self, arrays: RoomArrays, thresholds: Thresholds) -> None:
+        self._t = thresholds
+        self._pieces = Pieces.of(arrays)
+        self._stacking = stacking_of(self._pieces, holding_of(arrays), thresholds)
+        parts = self._pieces.arrays
+        self._metrics = pair_metrics(parts.centers, parts.aabb_min, parts.aabb_max, parts.radius)
+        self._radius, self._centers = parts.radius, parts.centers
+        self._of = {name: np.flatnonzero(self._pieces.owner == k).tolist() for k, name in enumerate(arrays.object_ids)}
+
+    def criteria(
+        self, predicate: str, subject: str, anchors: Sequence[str], surface: float | None = None
+    ) -> list[list[Criterion]]:
+        """Return the criteria of "subject predicate anchors" for each pair of pieces of the subject and the anchor;
+        empty for a predicate without criteria or for objects of other rooms.
+
+        surface : distance of the surfaces of the two objects in metres; None if it was not measured
+        """
+        own = [self._of.get(name) for name in (subject, *anchors)]
+        if any(pieces is None for pieces in own) or len(own) < 2:
+            return []
+        if predicate == "between":
+            return [self._between(own[0][0], own[1][0], own[2][0])] if len(own) == 3 else []  # type: ignore[index]
+        return [self._pair(predicate, i, j, surface) for i in own[0] or () for j in own[1] or ()]
+
+    def _pair(self, predicate: str, i: int, j: int, surface: float | None) -> list[Criterion]:
+        t, s, metrics = self._t, self._stacking, self._metrics
+        used, horizontal = float(metrics.used[i, j]), float(metrics.horizontal[i, j])
+        apart = float(s.apart[i, j]) / 1000.0
+        if predicate == "near":
+            return self._near(i, j, surface)
+        if predicate == "far from":
+            return [Criterion("distance", used, "m", ("≥", t.far_true), ("≤", t.far_false))]
+        if predicate == "on":
+            gap = float(s.gap[i, j]) / 1000.0
+            share = 100.0 * float(s.covered[i, j])
+            return [
+                Criterion(
+                    "height of its bottom over the anchor's top", gap, "m", ("±", t.on_gap_true), ("≥", t.on_gap_false)
+                ),
+                Criterion("part of its footprint over the anchor", share, "%", ("≥", 100.0 * t.on_footprint_true)),
+                Criterion("distance between the footprints", apart, "m", None, (">", 0.0)),
+            ]
+        if predicate == "in":
+            share, away = 100.0 * float(s.inside[i, j]), float(s.distance[i, j]) / 1000.0
+            return [
+                Criterion("part of it inside the anchor", share, "%", ("≥", 100.0 * t.in_share_true)),
+                Criterion("distance", away, "m", None, (">", 0.0)),
+            ]
+        if predicate in ("higher than", "lower than", "above", "below"):
+            way = "height" if predicate in ("higher than", "above") else "depth"
+            side = "over" if way == "height" else "below"
+            over, under = (i, j) if way == "height" else (j, i)
+            rise = float(s.rise[over, under]) / 1000.0
+            centre = Criterion(
+                f"{way} of its centre {side} the anchor's", rise, "m", ("≥", t.height_true), ("≤", t.height_false)
+            )
+            if predicate in _ON_ALL:
+                tops = float(s.top_rise[over, under]) / 1000.0
+                name = f"{way} of its top {side} the anchor's"
+                return [centre, Criterion(name, tops, "m", ("≥", t.top_true), ("≤", t.top_false))]
+            share = 100.0 * float(metrics.footprint_overlap[i, j])
+            gap = float(s.gap[over, under]) / 1000.0
+            return [
+                centre,
+                Criterion("distance of the centres on the ground", horizontal, "m", ("≤", t.over_horizontal_true)),
+                Criterion("shared part of the smaller footprint", share, "%", ("≥", 100.0 * t.over_footprint_true)),
+                Criterion("gap between them in height", gap, "m", ("≥", t.over_gap_true)),
+                Criterion("distance between the footprints", apart, "m", None, ("≥", t.over_apart_false)),
+            ]
+        if predicate in COMPASS:
+            off = float(sector_deviation(metrics.azimuth[i : i + 1, j : j + 1], COMPASS.index(predicate))[0, 0])
+            level = abs(float(metrics.elevation[i, j]))
+            name = f"angle away from {predicate.removesuffix(' of')}"
+            return [
+                Criterion(name, off, "°", ("≤", t.sector_true), (">", t.sector_denied)),
+                Criterion("angle above or below level", level, "°", ("<", t.level)),
+                Criterion("distance of the centres on the ground", horizontal, "m", ("≥", t.sector_horizontal_true)),
+            ]
+        return []
+
+    def _near(self, i: int, j: int, surface: float | None) -> list[Criterion]:
+        t, s, metrics = self._t, self._stacking, self._metrics
+        kind, ground = metrics.used_metric[i, j], np.nan
+        if kind == AABB:
+            ground = float(s.apart[i, j]) / 1000.0
+        elif kind == SPHERE:
+            ground = max(float(metrics.horizontal[i, j] - self._radius[i] - self._radius[j]), 0.0)
+        air = max(float(np.fmax(s.gap[i, j], s.gap[j, i])) / 1000.0, 0.0)
+        found = [Criterion("distance", float(metrics.used[i, j]), "m", ("≤", t.near_true))]
+        if surface is not None:
+            found.append(Criterion("distance between the surfaces", surface, "m", ("≤", t.near_true)))
+        return [
+            *found,
+            Criterion("air between them in height", air, "m", ("≤", t.near_over)),
+            Criterion("distance on the ground", ground, "m", None, ("≥", t.near_false)),
+        ]
+
+    def _between(self, i: int, a: int, b: int) -> list[Criterion]:
+        t, ground = self._t, self._centers[:, [0, 2]]
+        along, away = ground[b] - ground[a], ground[i] - ground[a]
+        length = float(np.hypot(*along))
+        if not length:
+            return []
+        part = float(away @ along) / length**2
+        off = abs(float(away[0] * along[1] - away[1] * along[0])) / length
+        inner = 100.0 * min(part, 1.0 - part)
+        return [
+            Criterion(
+                "distance from the nearer end of the line between the anchors, as a part of the line",
+                inner, "%", ("≥", 100.0 * t.between_true), ("<", 100.0 * t.between_false),
+            ),
+            Criterion("distance from that line", off, "m", ("≤", t.between_off_true), ("≥", t.between_off_false)),
+        ]  # fmt: skip
+
+
+def bearing_criteria(direction: str, start: F64, heading: float, box: F64, t: Thresholds) -> list[Criterion]:
+    """Return the criteria of "on the left", "ahead" and so on at the start.
+
+    start (3,) : metres; heading : degrees clockwise from north; box (2, 3) : of the object
+    """
+    seen = sighted(start[None], box, t)
+    off = float((seen.azimuth[0] - heading - BEARING_DEGREES[direction] + 180.0) % 360.0 - 180.0)
+    low, high = off + float(seen.low[0]), off + float(seen.high[0])
+    widest = max(abs(low), abs(high))
+    around = any(low <= turn <= high for turn in (-360.0, 0.0, 360.0))
+    nearest = 0.0 if around else min(abs((side + 180.0) % 360.0 - 180.0) for side in (low, high))
+    middle = (box[0] + box[1]) / 2.0
+    distance = float(np.hypot(middle[0] - start[0], middle[2] - start[2]))
+    return [
+        Criterion(
+            f"angle of its centre from {direction}", abs(off), "°", ("≤", t.bearing_true), ("≥", t.bearing_false)
+        ),
+        Criterion(f"angle of its farthest side from {direction}", widest, "°", ("≤", t.bearing_false)),
+        Criterion(f"angle of its nearest side from {direction}", nearest, "°", None, ("≥", t.bearing_true)),
+        Criterion("distance from the start", distance, "m", ("≥", t.bearing_distance)),
+    ]
+
+
+def decided(predicate: str, pairs: Sequence[Sequence[Criterion]], truth: bool) -> dict[str, Any]:
+    """Return the criteria that decide a relation, which one decides it, and a sentence that says so.
+
+    Of an object of several pieces, the pair of pieces that decides is shown.
+
+    Parameters
+    ----------
+    pairs : what :meth:`RoomMeasures.criteria` returns
+    truth : whether the object counts as a witness
+
+    Returns
+    -------
+    ``criteria``, ``says``, ``margin`` and ``unit``; ``margin`` is None where no quantity decides. Empty without pairs.
+    """
+    pairs = [pair for pair in pairs if pair]
+    if not pairs:
+        return {}
+    one_is_enough = predicate in _OF_ONE_PIECE if truth else predicate == "far from"
+    pick = max if one_is_enough else min
+    pair = pick(pairs, key=lambda one: _closest_call(predicate, one, truth)[0])
+    slack, k = _closest_call(predicate, pair, truth)
+    found = pair[k]
+    holds = slack >= -_TOLERANCE
+    says = _sentence(predicate, pair, k, truth) if holds else _undecided(predicate, pair, truth)
+    return {
+        "criteria": [one.document(holds and one is found) for one in pair],
+        "says": says,
+        "margin": round(found.margin(truth), _DECIMALS[found.unit]) if holds else None,
+        "unit": found.unit,
+    }
+
+
+def _closest_call(predicate: str, pair: Sequence[Criterion], truth: bool) -> tuple[float, int]:
+    """Return the closeness and the index of the criterion that decides: the tightest one where all must hold, else the
+    clearest one.
+    """
+    asked = [(one.closeness(truth), k) for k, one in enumerate(pair) if (one.true if truth else one.false) is not None]
+    every = truth or predicate in _ON_ALL
+    return min(asked) if every else max(asked)
+
+
+def _sentence(predicate: str, pair: Sequence[Criterion], k: int, truth: bool) -> str:
+    one = pair[k]
+    sides = [f"{'' if side else 'not '}{predicate} is {one.bound(side)}" for side in (True, False) if one.bound(side)]
+    margin = one.written(one.margin(truth))
+    says = f"{one.name} {one.written(one.shown)}; {', '.join(sides)}; so {str(truth).lower()}, by {margin}"
+    if not truth and one.true is None:
+        says += f" ({predicate} would be: {pair[0].name} {pair[0].bound(True)})"
+    return says
+
+
+def _undecided(predicate: str, pair: Sequence[Criterion], truth: bool) -> str:
+    """Return the sentence about a pair whose quantities do not give the truth."""
+    other, k = _closest_call(predicate, pair, not truth)
+    if truth:
+        return "the boxes do not decide it; the source says so"
+    if other >= -_TOLERANCE:
+        return f"{pair[k].name} {pair[k].written(pair[k].shown)}: {predicate}, but not of this name for certain"
+    one = pair[_closest_call(predicate, pair, False)[1]]
+    return f"{one.name} {one.written(one.shown)}: between the bounds, so text says neither"

@@ -1,0 +1,133 @@
+"""What the page says of a relation is what text's own facts decide, and its margins are differences of what it writes."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from condvln.explorer.measures import Criterion, RoomMeasures, bearing_criteria, decided
+from condvln.relations import relate_room, text_facts
+from condvln.relations.bearing import bearing_status, sighted
+from condvln.relations.compass import COMPASS
+from condvln.scene import RoomArrays, SceneObject, round_mm
+from schemas.config import Thresholds
+from schemas.program import BEARINGS
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "relations"))
+from layered_rooms import layered_room
+
+T = Thresholds()
+ASKED = ("on", "in", "near", "above", "below", "higher than", "lower than", "far from", *COMPASS)
+BY_SOURCE = ("on", "in")
+"""Predicates that the source may decide where boxes do not."""
+
+
+def thing(name: str, low: tuple[float, float, float], high: tuple[float, float, float]) -> SceneObject:
+    box = round_mm([low, high])
+    return SceneObject(name, "room", name, name, round_mm(box.mean(axis=0)), aabb=box)
+
+
+def measured(predicate: str, *objects: SceneObject, surface: float | None = None) -> list[list[Criterion]]:
+    room = RoomMeasures(RoomArrays.of("room", list(objects), 0.0), T)
+    return room.criteria(predicate, objects[0].object_id, [one.object_id for one in objects[1:]], surface)
+
+
+def test_a_false_near_says_by_how_much() -> None:
+    lamp, bed = thing("lamp", (0, 0, 0), (0.2, 1, 0.2)), thing("bed", (2.81, 0, 0), (4, 0.5, 2))
+    found = decided("near", measured("near", lamp, bed), False)
+    assert found["says"] == (
+        "distance on the ground 2.61 m; not near is at least 2.25 m; so false, by 0.36 m "
+        "(near would be: distance at most 0.50 m)"
+    )
+    assert (found["margin"], found["unit"]) == (0.36, "m")
+    assert [one["name"] for one in found["criteria"] if one["decides"]] == ["distance on the ground"]
+
+
+def test_a_true_near_is_as_safe_as_its_tightest_quantity() -> None:
+    lamp, bed = thing("lamp", (0, 0.7, 0), (0.2, 1, 0.2)), thing("bed", (0.3, 0, 0), (4, 0.5, 2))
+    found = decided("near", measured("near", lamp, bed, surface=0.45), True)
+    assert found["says"] == "distance between the surfaces 0.45 m; near is at most 0.50 m; so true, by 0.05 m"
+    assert {one["name"]: one["value"] for one in found["criteria"]} == {
+        "distance": 0.22,
+        "distance between the surfaces": 0.45,
+        "air between them in height": 0.2,
+        "distance on the ground": 0.1,
+    }
+
+
+def test_what_lies_between_the_bounds_is_said_to_be_neither() -> None:
+    lamp, bed = thing("lamp", (0, 0, 0), (0.2, 1, 0.2)), thing("bed", (1.2, 0, 0), (4, 0.5, 2))
+    found = decided("near", measured("near", lamp, bed), False)
+    assert found["margin"] is None
+    assert found["says"] == "distance on the ground 1.00 m: between the bounds, so text says neither"
+
+
+def test_a_direction_and_a_support_have_their_units() -> None:
+    cup, desk = thing("cup", (2, 0.8, 1), (2.1, 0.9, 1.1)), thing("desk", (0, 0, 0), (1, 0.75, 0.5))
+    angle = decided("west of", measured("west of", cup, desk), False)
+    assert re.fullmatch(r"angle away from west 1\d\d\.\d°; west of is at most 15\.0°, .* by \d+\.\d°", angle["says"])
+    on = decided("on", measured("on", cup, desk), False)
+    assert "distance between the footprints 1.12 m; not on is more than 0 m; so false, by 1.12 m" in on["says"]
+    bottle = thing("bottle", (0.2, 0.75, 0.1), (0.3, 1, 0.2))
+    assert decided("on", measured("on", bottle, desk), True)["says"].endswith("so true, by 0.03 m")
+
+
+def test_each_fact_of_text_has_a_margin() -> None:
+    tally: Counter[tuple[str, bool]] = Counter()
+    for seed in range(7):
+        arrays = RoomArrays.of("room", layered_room(np.random.default_rng(seed)), 0.0)
+        relations = relate_room(arrays, T)
+        facts, measures = text_facts(relations, T), RoomMeasures(arrays, T)
+        names = arrays.object_ids
+        for predicate in ASKED:
+            status = facts.status[predicate]
+            denied = facts.denied.get(predicate, status == -1)
+            for i, j in np.argwhere((status == 1) | denied):
+                truth = bool(status[i, j] == 1)
+                surface = float(relations.surface[i, j])
+                pairs = measures.criteria(predicate, names[i], [names[j]], None if np.isnan(surface) else surface)
+                found = decided(predicate, pairs, truth)
+                if found["margin"] is None:
+                    assert predicate in BY_SOURCE, (predicate, truth, names[i], names[j], found["says"])
+                    continue
+                tally[predicate, truth] += 1
+                (deciding,) = (one for one in found["criteria"] if one["decides"])
+                bound = float(re.findall(r"[\d.]+", deciding["true" if truth else "false"])[0])
+                value = abs(deciding["value"]) if "within" in deciding["true"] and truth else deciding["value"]
+                assert found["margin"] == pytest.approx(abs(value - bound), abs=1e-9)
+                assert found["says"].split(" (")[0].endswith(f"so {str(truth).lower()}, by {written(found)}")
+    assert all(tally[predicate, truth] for predicate in ("near", "on", "north of", "far from") for truth in (True, False))
+
+
+def written(found: dict[str, object]) -> str:
+    digits = {"m": 2, "°": 1, "%": 0}[str(found["unit"])]
+    return f"{found['margin']:.{digits}f}{'' if found['unit'] == '°' else ' '}{found['unit']}"
+
+
+@settings(max_examples=60)
+@given(
+    place=st.tuples(*[st.floats(-4, 4)] * 2), low=st.tuples(*[st.floats(-4, 4)] * 2),
+    size=st.tuples(*[st.floats(0.05, 2)] * 2), heading=st.floats(0, 360), direction=st.sampled_from(BEARINGS),
+)  # fmt: skip
+def test_each_bearing_of_text_has_a_margin(
+    place: tuple[float, float], low: tuple[float, float], size: tuple[float, float], heading: float, direction: str
+) -> None:
+    start = np.array([place[0], 0.0, place[1]])
+    box = np.array([[low[0], 0.0, low[1]], [low[0] + size[0], 1.0, low[1] + size[1]]])
+    status = int(bearing_status(sighted(start[None], box, T), direction, [heading], T)[0, 0])
+    if status:
+        found = decided(direction, [bearing_criteria(direction, start, heading, box, T)], status == 1)
+        assert found["margin"] is not None
+
+
+def test_without_criteria_nothing_is_said() -> None:
+    one, other = thing("one", (0, 0, 0), (1, 1, 1)), thing("other", (2, 0, 0), (3, 1, 1))
+    assert decided("closest to", measured("closest to", one, other), True) == {}
+    assert measured("near", one) == []
