@@ -103,7 +103,9 @@ def test_each_fact_of_text_has_a_margin() -> None:
                 value = abs(deciding["value"]) if "within" in deciding["true"] and truth else deciding["value"]
                 assert found["margin"] == pytest.approx(abs(value - bound), abs=1e-9)
                 assert found["says"].split(" (")[0].endswith(f"so {str(truth).lower()}, by {written(found)}")
-    assert all(tally[predicate, truth] for predicate in ("near", "on", "north of", "far from") for truth in (True, False))
+    assert all(
+        tally[predicate, truth] for predicate in ("near", "on", "north of", "far from") for truth in (True, False)
+    )
 
 
 def written(found: dict[str, object]) -> str:
