@@ -1,4 +1,4 @@
-"""What the page says of a relation is what text's own facts decide, and its margins are differences of what it writes."""
+"""What the page says of a relation is what the facts of text decide; margins are differences of what it writes."""
 
 from __future__ import annotations
 
