@@ -13,29 +13,24 @@ form.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.instructions.balance import balanced_weights, jointly_balanced_weights
 from condvln.instructions.informative import informative_weights
-from condvln.instructions.predicates import ASKED
+from condvln.instructions.predicates import ASKED, COMPASS
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
 from schemas.program import BEARINGS, Predicate
 
-__all__ = ["ConditionPool", "Form", "Question", "RelationPool", "balanced_weights"]
-
-BALANCING_ROUNDS: Final = 30
-"""Iterations of proportional fitting; the marginals of real rooms converge to 1e-3 within about ten."""
-
-LEAST_WEIGHT: Final = 1e-6
-"""A cell whose weight falls below this share of the largest counts as excluded by the fitting."""
+__all__ = ["ConditionPool", "Form", "Question", "RelationPool"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -158,20 +153,50 @@ def _relations(
     referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str]
 ) -> dict[Form, RelationPool]:
     pools: dict[Form, RelationPool] = {}
+    uneven: list[StatementTruths] = []
     for truths in statement_truths(referents, vocabulary):
         if truths.predicate not in asked:
             continue
         weights = _informative_tables(referents, truths, bits)
         if weights is None:
             weights = balanced_weights(truths.true, truths.false)
-        if weights is None:
-            continue
-        for definite in (True, False):
-            of_form = (truths.definite == definite)[:, None]
-            own = {truth: np.where(of_form, table, 0.0) for truth, table in weights.items()}
-            if all(table.any() for table in own.values()):
-                pools[truths.predicate, definite] = _relation_pool(referents, truths, own, definite=definite)
+        if weights is not None:
+            pools.update(_pools_of(referents, truths, weights))
+        elif truths.predicate in COMPASS:
+            uneven.append(truths)
+    pools.update(_joint_pools(referents, uneven))
     return pools
+
+
+def _joint_pools(referents: Referents, uneven: Sequence[StatementTruths]) -> Iterator[tuple[Form, RelationPool]]:
+    """Yield the pools by form of directions that can't be balanced by themselves.
+
+    In a room with few objects, a label or an anchor may have one truth by each direction, but both over all directions.
+    """
+    forms = [
+        (truths, definite, (truths.definite == definite)[:, None]) for truths in uneven for definite in (True, False)
+    ]
+    if not forms:
+        return
+    weights = jointly_balanced_weights(
+        np.stack([truths.true & own for truths, _, own in forms]),
+        np.stack([truths.false & own for truths, _, own in forms]),
+    )
+    for k, (truths, definite, _) in enumerate(forms if weights else ()):
+        own_weights = {truth: table[k] for truth, table in (weights or {}).items()}
+        if all(table.any() for table in own_weights.values()):
+            yield (truths.predicate, definite), _relation_pool(referents, truths, own_weights, definite=definite)
+
+
+def _pools_of(
+    referents: Referents, truths: StatementTruths, weights: Mapping[bool, F64]
+) -> Iterator[tuple[Form, RelationPool]]:
+    """Yield the pools of one predicate by form; a form with only one truth is left out."""
+    for definite in (True, False):
+        of_form = (truths.definite == definite)[:, None]
+        own = {truth: np.where(of_form, table, 0.0) for truth, table in weights.items()}
+        if all(table.any() for table in own.values()):
+            yield (truths.predicate, definite), _relation_pool(referents, truths, own, definite=definite)
 
 
 def _relation_pool(
@@ -244,28 +269,3 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
             known |= sum(seen) >= evidence
             tables[truth][row, column] = factors[row][truth] * informative_weights(*seen, evidence)[truth]
     return tables if known else None
-
-
-def balanced_weights(true: Bools, false: Bools) -> dict[bool, F64] | None:
-    """Return, by truth, the weights of the cells of a (labels, anchors) table: those of the true cells and those of the
-    false cells, with equal marginals.
-
-    For room types that are too rare for priors. With these weights neither the label nor the anchor predicts whether
-    the statement is true. Method: iterative proportional fitting (Deming & Stephan 1940) of both tables towards the
-    geometric mean of their marginals; labels and anchors with only one truth are dropped. If nothing is left, only the
-    labels are balanced; None if no label has both truths.
-    """
-    for axes in ((0, 1), (1,)):
-        tables = [true.astype(np.float64), false.astype(np.float64)]
-        for _ in range(BALANCING_ROUNDS):
-            for axis in axes:
-                sums = [t.sum(axis=axis, keepdims=True) for t in tables]
-                target = np.sqrt(sums[0] * sums[1])
-                tables = [
-                    t * np.divide(target, s, out=np.zeros_like(s), where=s > 0)
-                    for t, s in zip(tables, sums, strict=True)
-                ]
-        if all(t.any() for t in tables):
-            tables = [np.where(t < LEAST_WEIGHT * t.max(), 0.0, t) for t in tables]
-            return {True: tables[0], False: tables[1]}
-    return None

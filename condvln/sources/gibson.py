@@ -9,6 +9,7 @@ import posixpath
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, Final
@@ -24,7 +25,7 @@ from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import SceneGeometry
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.mesh_geometry import scan_geometry
-from condvln.sources.regions import in_rooms, side_regions
+from condvln.sources.regions import LEVEL_STEP, in_rooms, side_regions
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.source import MAX_OBJECTS
@@ -36,6 +37,8 @@ F64 = NDArray[np.float64]
 
 VERIFIED: Final = "verified"
 AUTOMATED: Final = "automated"
+LEVEL_ROOMS: Final = 3
+"""Least number of rooms of a level whose median is taken as the height of its floor."""
 _FILE: Final = re.compile(r"^(?:(?P<folder>[^/]+)/)?(?:(?P<name>[^/]+)\.scn|3DSceneGraph_(?P<original>[^/]+)\.npz)$")
 
 
@@ -75,16 +78,17 @@ class GibsonSource(SceneSource):
         document = read_scn(data, where) if path.endswith(".scn") else read_npz(data, where)
         complete = not scene_id.startswith(f"{AUTOMATED}/")
         room_of = _rooms(document, self.family, complete)
+        room_of, sunken = (room_of, []) if complete else _levelled(room_of)
         rooms = tuple(room_of.values())
         if self.options.regions is not None:
             drawn = side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
-            rooms, room_of = drawn or rooms, {} if drawn else room_of
+            rooms, room_of, sunken = drawn or rooms, {} if drawn else room_of, [] if drawn else sunken
         items, warnings = _objects(document, self.family, room_of)
         rooms = rooms or (_whole(items, self.family, complete),)
         placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
         placed += [o for o in items if o.room_id]
         stage, navmeshes = self._beside(scene_id, path, ledger)
-        said = {*warnings, *lost}
+        said = {*warnings, *lost, *sunken}
         return Scene(
             family=self.family,
             scene_id=scene_id,
@@ -182,6 +186,24 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
             asked=complete,
         )
     return rooms
+
+
+def _levelled(rooms: Mapping[int, Room]) -> tuple[dict[int, Room], list[SceneWarning]]:
+    """Return the rooms, each floor at the height of its level, and the warnings.
+
+    A box that no person checked may reach far below the floor. Nobody could stand in such a room, since its floor is
+    not on the navmesh. So a floor that is more than `LEVEL_STEP` from the median floor of its level gets this height,
+    if the level has at least three rooms.
+    """
+    found, warnings = dict(rooms), []
+    for number, room in rooms.items():
+        floors = [other.floor_y for other in rooms.values() if other.level == room.level]
+        usual = float(round_mm(float(np.median(floors))))
+        if len(floors) >= LEVEL_ROOMS and abs(room.floor_y - usual) > LEVEL_STEP:
+            found[number] = replace(room, floor_y=usual)
+            message = f"its box begins at {room.floor_y:g} m: its floor is set to {usual:g} m, as in its level's rooms"
+            warnings.append(SceneWarning("room_off_level", room.room_id, message))
+    return found, warnings
 
 
 def _objects(

@@ -18,7 +18,7 @@ from condvln.labels import vocabulary
 from condvln.scene import Room, SceneObject, SceneWarning, round_mm
 from condvln.sources.input_ledger import InputLedger
 
-__all__ = ["NEAREST_REGION", "RegionIndex", "check_polygon", "in_rooms", "read_regions", "side_regions"]
+__all__ = ["LEVEL_STEP", "NEAREST_REGION", "RegionIndex", "check_polygon", "in_rooms", "read_regions", "side_regions"]
 
 NEAREST_REGION: Final = 0.25
 """Metres. An object whose centre is outside all regions by at most this (in a wall, on a sill) gets the nearest region,

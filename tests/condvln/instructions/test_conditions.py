@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.instructions import LabelPriors
-from condvln.instructions.conditions import ConditionPool, Question, balanced_weights
+from condvln.instructions.balance import balanced_weights, jointly_balanced_weights
+from condvln.instructions.conditions import ConditionPool, Question
 from condvln.instructions.likeness import called_side_tables
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
@@ -100,6 +101,7 @@ def test_true_and_false_statements_of_one_pool_have_one_form(make_scene, facts_m
         facts, bits = facts_maker(scene), priors.bits(scene, 0.05) if rich else NO_BITS
         for room in scene.rooms:
             referents = Referents.of(room, scene.arrays(room.room_id), facts[room.room_id], vocabulary, 0.3)
+            told: dict[bool, Counter[str]] = {True: Counter(), False: Counter()}
             for (predicate, definite), relation in ConditionPool.of(referents, bits, (), vocabulary).relations.items():
                 weights: dict[bool, Counter[str]] = {True: Counter(), False: Counter()}
                 for truth, sums in relation.sums.items():
@@ -109,10 +111,12 @@ def test_true_and_false_statements_of_one_pool_have_one_form(make_scene, facts_m
                         assert definite == (question.label in referents.unique_labels)
                         weights[truth][question.label] += float(weight)
                 assert relation.mass == pytest.approx(min(side.total() for side in weights.values()))
-                if not rich:
-                    total = relation.mass
-                    assert weights[True] == pytest.approx(weights[False], abs=1e-3 * total)
+                for truth, side in weights.items():
+                    assert rich or side.total() == pytest.approx(relation.mass, rel=1e-2)
+                    told[truth].update(side)
                 forms[definite] += 1
+            # By one direction a label may have one truth, if it has the other truth by another direction.
+            assert rich or told[True] == pytest.approx(told[False], abs=1e-3 * told[True].total())
     assert min(forms[True], forms[False]) > 20
 
 
@@ -192,6 +196,39 @@ def test_balanced_weights_of_a_square() -> None:
     assert weights is not None
     for axis in (0, 1):
         np.testing.assert_allclose(weights[True].sum(axis=axis), weights[False].sum(axis=axis), rtol=1e-6)
+
+
+@given(st.integers(2, 5), st.integers(2, 5), st.integers(1, 4), st.integers(0, 2**32))
+def test_jointly_balanced_weights_use_both_truths_of_each_predicate(
+    predicates: int, labels: int, anchors: int, seed: int
+) -> None:
+    kind = np.random.default_rng(seed).choice(3, size=(predicates, labels, anchors), p=[0.15, 0.55, 0.3])
+    true, false = kind == 0, kind == 1
+    weights = jointly_balanced_weights(true, false)
+    if weights is None:
+        return
+    assert not (weights[True][~true]).any()
+    assert not (weights[False][~false]).any()
+    for axes in ((1, 2), (0, 2)):
+        there = [weights[truth].any(axis=axes) for truth in (True, False)]
+        np.testing.assert_array_equal(*there)
+    # The last step of each round makes the labels' marginals equal exactly.
+    by_label = [weights[t].sum(axis=(0, 2)) / weights[t].sum() for t in (True, False)]
+    np.testing.assert_allclose(*by_label, atol=1e-4)
+
+
+def test_directions_that_have_one_truth_by_themselves_are_balanced_together() -> None:
+    """The apple is north-east of the fridge and the bowl is not; the bowl is north-west of it and the apple is not."""
+    true = np.array([[[1], [0], [0]], [[0], [1], [0]], [[0], [0], [0]]], dtype=bool)
+    false = ~true
+    assert all(balanced_weights(t, f) is None for t, f in zip(true, false, strict=True))
+    weights = jointly_balanced_weights(true, false)
+    assert weights is not None
+    # Each of the two directions and each of the two things has either truth once; the third of either has only one.
+    np.testing.assert_allclose(weights[True], true)
+    expected = np.zeros(true.shape)
+    expected[0, 1, 0] = expected[1, 0, 0] = 1.0
+    np.testing.assert_allclose(weights[False], expected)
 
 
 def test_balanced_weights_are_the_same_whatever_the_order() -> None:

@@ -56,6 +56,21 @@ def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove,
     assert drawn >= 55
 
 
+@pytest.mark.parametrize("building", ["Allensville", "Oyens"])
+def test_automated_graphs_are_asked_about_what_is_there(real_data: Path, facts_maker, prove, building: str) -> None:
+    """In their rooms a direction has one truth: only all directions together have both."""
+    if not (real_data / "gibson").is_dir():
+        pytest.skip(f"no gibson in {real_data}")
+    scene = open_source("gibson", real_data / "gibson", absence="never").read(f"automated/{building}")
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    programs = list(made_sampler(scene, facts, bits, per_category={"simple": 12}).candidates("simple"))
+    assert len(programs) >= 8
+    assert len({program.conditions[0].truth for program in programs}) == 2
+    for program in programs:
+        prove(program, scene, facts)
+        assert all(condition.definite for condition in program.conditions)
+
+
 @pytest.mark.soak
 def test_the_church_scan_says_nothing_of_the_one_statue_that_may_be_two(real_data: Path, facts_maker, prove) -> None:
     """Across the altar a nameless "object" has the size of the statue: people see two, and the scan names one."""

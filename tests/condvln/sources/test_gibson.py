@@ -55,6 +55,32 @@ def test_the_parent_decides_even_where_the_place_does_not(tmp_path: Path) -> Non
     assert write(tmp_path, moved).read("verified/Made").object_of["bed_1"].room_id == "bedroom_1"
 
 
+@pytest.mark.parametrize(("folder", "floor"), [("automated", 0.0), ("verified", -1.2)])
+def test_a_box_that_no_person_checked_does_not_lower_its_rooms_floor(tmp_path: Path, folder: str, floor: float) -> None:
+    document = building()
+    document["rooms"] = [
+        {"id": k, "scene_category": label, "location": [5.0 * k, 2, z], "size": [4, 6, height], "floor_number": "A"}
+        for k, (label, z, height) in enumerate(
+            [
+                ("bedroom", 1.25, 2.5),
+                ("dining_room", 1.25, 2.5),
+                ("kitchen", 0.65, 3.7),
+                ("bathroom", 1.0, 2.5),
+                ("bedroom", 1.25, 2.5),
+            ]
+        )
+    ]
+    for item in document["objects"]:
+        item["parent_room"] = 0
+    scene = write(tmp_path, document, f"{folder}/Made.scn").read(f"{folder}/Made")
+    assert {room.room_id: room.floor_y for room in scene.rooms} == {
+        "bedroom_0": 0.0, "dining_room_1": 0.0, "kitchen_2": floor, "bathroom_3": -0.25, "bedroom_4": 0.0
+    }  # fmt: skip
+    off = [(w.where, w.message) for w in scene.warnings if w.code == "room_off_level"]
+    said = "its box begins at -1.2 m: its floor is set to 0 m, as in its level's rooms"
+    assert off == ([("kitchen_2", said)] if folder == "automated" else [])
+
+
 def test_both_formats_give_the_same_scene(tmp_path: Path) -> None:
     json_ = write(tmp_path / "a", building()).read("verified/Made")
     npz = write(tmp_path / "b", building(), "verified/3DSceneGraph_Made.npz").read("verified/Made")
