@@ -5,7 +5,7 @@ resumed, and tables and layouts are written from the run's published snapshot.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -18,11 +18,12 @@ from rich.console import Console
 from condvln.compiled import warm_up
 from condvln.formats.streams import atomic_stream
 from condvln.manifest import manifest_lines, manifest_path
-from condvln.trajectories.cameras import hub_cameras
+from condvln.trajectories.cameras import Cameras, hub_cameras
 from condvln.trajectories.hub import SceneWalks, write_hub, write_tables
 from condvln.trajectories.images import IMAGES, clear_parts, folders_of
 from condvln.trajectories.internvla import internvla_n1
 from condvln.trajectories.layouts import AddScene, Layout, janusvln, link, navila, new_folder
+from condvln.trajectories.lerobot import lerobot
 from condvln.trajectories.licences import licences, read_me, refuse_unlicensed
 from condvln.trajectories.recipe import RECIPE_FILES, RECORD, Recipe
 from condvln.trajectories.uninavid import uninavid
@@ -57,7 +58,13 @@ __all__ = ["LAYOUTS", "RECORD", "Request", "make_trajectories", "trajectory_conf
 _VIEWS: Final[Mapping[str, Layout]] = {"navila": navila, "uninavid": uninavid, "janusvln": janusvln}
 """Layouts that need the main camera only."""
 
-LAYOUTS: Final = ("streamvln", *_VIEWS, "internvla-n1")
+_OF_ALL_CAMERAS: Final[Mapping[str, Callable[[Path, str, Cameras], AbstractContextManager[AddScene]]]] = {
+    "internvla-n1": internvla_n1,
+    "lerobot": lerobot,
+}
+"""Layouts that take further cameras."""
+
+LAYOUTS: Final = ("streamvln", *_VIEWS, *_OF_ALL_CAMERAS)
 """Names of the layouts. The first one is the hub, which is always written."""
 
 RECIPE: Final = "recipe"
@@ -276,8 +283,8 @@ class _Run:
         for name in self.work.layouts:
             if name in _VIEWS:
                 yield _VIEWS[name](self.folder, self.work.target.split)
-            elif name == "internvla-n1":
-                yield internvla_n1(self.folder, self.work.target.split, self.work.cameras)
+            elif name in _OF_ALL_CAMERAS:
+                yield _OF_ALL_CAMERAS[name](self.folder, self.work.target.split, self.work.cameras)
 
     @staticmethod
     def _count(

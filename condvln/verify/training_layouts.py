@@ -7,30 +7,26 @@ The rules are those of the agents' loaders (``docs/training.md``), written here 
 from __future__ import annotations
 
 import io
-import math
-import os
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby, pairwise
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import orjson
 import pyarrow as pa
-import pyarrow.parquet as pq
+
+from condvln.verify.layout_files import Counts, Faults, Row, linked
+from condvln.verify.lerobot_layouts import internvla_faults, lerobot_faults
 
 __all__ = ["LayoutProof", "prove_layouts"]
-
-Row = Mapping[str, Any]
 
 _NAVILA: Final = {1: "move forward {} cm", 2: "turn left {} degrees", 3: "turn right {} degrees"}
 _NAVILA_UNIT: Final = {1: 25, 2: 15, 3: 15}
 _JANUS: Final = ("STOP", "MOVE_FORWARD", "TURN_LEFT", "TURN_RIGHT")
 _UNINAVID: Final = ("stop", "forward", "left", "right")
 _SAID_BY_UNINAVID: Final = "a video of historical observations and an image of the current observation"
-_PAIR: Final = {"125cm_0deg": (1.25, 0.0), "125cm_30deg": (1.25, 30.0)}
-_DOWN: Final = "125cm_30deg"
 _HUB: Final = "streamvln"
 """The layout whose files are the hub's own."""
 
@@ -41,7 +37,7 @@ class LayoutProof:
     """
 
     def __init__(self) -> None:
-        self.rows: dict[str, int] = {}
+        self.rows: Counts = {}
         self.faults: list[tuple[str, str]] = []
 
 
@@ -52,7 +48,13 @@ def prove_layouts(folder: Path, record: Row, walks: Sequence[Row]) -> LayoutProo
     walks : rows of ``trajectories.parquet``, in their order
     """
     proof = LayoutProof()
-    checks = {"navila": _navila, "uninavid": _uninavid, "janusvln": _janusvln, "internvla-n1": _internvla}
+    checks = {
+        "navila": _navila,
+        "uninavid": _uninavid,
+        "janusvln": _janusvln,
+        "internvla-n1": internvla_faults,
+        "lerobot": lerobot_faults,
+    }
     for name in sorted({*record["layouts"]} - {*checks, _HUB}):
         proof.faults.append(("", f"{name}: the record names a layout that is not known here"))
     for name in sorted(checks.keys() - {*record["layouts"]}):
@@ -61,22 +63,19 @@ def prove_layouts(folder: Path, record: Row, walks: Sequence[Row]) -> LayoutProo
     for name in sorted(checks.keys() & {*record["layouts"]}):
         proof.rows[name] = 0
         try:
-            for walk, fault in checks[name](folder, record, walks, proof):
+            for walk, fault in checks[name](folder, record, walks, proof.rows):
                 proof.faults.append((walk, f"{name}: {fault}"))
         except (OSError, ValueError, KeyError, TypeError, IndexError, struct.error, pa.ArrowException) as error:
             proof.faults.append(("", f"{name}: a file is missing or damaged ({error})"))
     return proof
 
 
-Faults = Iterator[tuple[str, str]]
-
-
-def _navila(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProof) -> Faults:
+def _navila(folder: Path, record: Row, walks: Sequence[Row], rows: Counts) -> Faults:
     with (folder / "navila" / "annotations.json").open("rb") as lines:
         for walk in walks:
             wanted = [*_navila_rows(walk)]
             found = [orjson.loads(line) for _, line in zip(wanted, lines, strict=False)]
-            proof.rows["navila"] += len(found)
+            rows["navila"] += len(found)
             if found != wanted:
                 yield walk["trajectory"], "the rows are not the walk's"
                 return
@@ -114,7 +113,7 @@ def _navila_rows(walk: Row) -> Iterator[dict[str, Any]]:
         at += count
 
 
-def _janusvln(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProof) -> Faults:
+def _janusvln(folder: Path, record: Row, walks: Sequence[Row], rows: Counts) -> Faults:
     samples = iter(orjson.loads((folder / "janusvln" / "train.json").read_bytes()))
     for walk in walks:
         for at, action in enumerate(walk["actions"]):
@@ -125,7 +124,7 @@ def _janusvln(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProo
                 if not sample or not _is_janus(sample, walk, at, images, _JANUS[action]):
                     yield walk["trajectory"], f"the sample of frame {at} is not the walk's"
                     return
-                proof.rows["janusvln"] += 1
+                rows["janusvln"] += 1
     if next(samples, None) is not None:
         yield "", "there are more samples than frames"
     frames = folder / "janusvln" / "trajectory_data" / "R2R" / record["split"]
@@ -136,7 +135,7 @@ def _janusvln(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProo
         wanted = {
             f"rgb_{at:04d}_{_JANUS[action].lower()}.png": _image(walk, at) for at, action in enumerate(walk["actions"])
         }
-        yield from _linked(folder, frames / str(walk["episode_id"]), wanted, walk["trajectory"])
+        yield from linked(folder, frames / str(walk["episode_id"]), wanted, walk["trajectory"])
 
 
 def _is_janus(sample: Row, walk: Row, at: int, images: list[str], answer: str) -> bool:
@@ -150,7 +149,7 @@ def _is_janus(sample: Row, walk: Row, at: int, images: list[str], answer: str) -
     )
 
 
-def _uninavid(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProof) -> Faults:
+def _uninavid(folder: Path, record: Row, walks: Sequence[Row], rows: Counts) -> Faults:
     entries = iter(orjson.loads((folder / "uninavid" / "annotations.json").read_bytes()))
     videos: set[str] = set()
     for walk in walks:
@@ -168,7 +167,7 @@ def _uninavid(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProo
                 if not entry or not _is_uninavid(entry, walk, at, video, " ".join(words[at : at + 4])):
                     yield walk["trajectory"], f"the sample of frame {at} is not the walk's"
                     return
-                proof.rows["uninavid"] += 1
+                rows["uninavid"] += 1
             if _frames_of((folder / "uninavid" / video).read_bytes()) != frames[: at + 1]:
                 yield walk["trajectory"], f"the video of frame {at} has other images"
     if next(entries, None) is not None:
@@ -226,123 +225,5 @@ def _frames_of(video: bytes) -> list[bytes]:
     return [data[a:b] for a, b in pairwise(ends)]
 
 
-def _internvla(folder: Path, record: Row, walks: Sequence[Row], proof: LayoutProof) -> Faults:
-    main = record["cameras"]["rgb"]
-    images = {
-        f"{'observation.images.depth' if name.startswith('depth') else 'observation.images.rgb'}.{setting}": name
-        for name, camera in record["cameras"].items()
-        for setting, (height, pitch) in _PAIR.items()
-        if camera == {**main, "eye_height": height, "look_down": pitch}
-    }
-    scenes = {key: [*rows] for key, rows in groupby(walks, lambda walk: (walk["source"], walk["scene_id"]))}
-    names = {key: f"{key[0]}-{key[1].replace('/', '-')}" for key in scenes}
-    if {path.name for path in (folder / "internvla-n1").iterdir()} != set(names.values()):
-        yield "", "the folders are not those of the scenes"
-    poses = pq.ParquetFile(folder / "poses.parquet")
-    groups = iter(range(poses.num_row_groups))
-    for key, own in scenes.items():
-        rows = poses.read_row_group(next(groups)).to_pylist()
-        if rows[0]["scene_id"] != key[1]:
-            raise ValueError("poses.parquet has the scenes in another order")
-        yield from _internvla_scene(folder, folder / "internvla-n1" / names[key], own, rows, images, proof)
-
-
-def _internvla_scene(
-    folder: Path,
-    target: Path,
-    walks: Sequence[Row],
-    poses: Sequence[Row],
-    images: Mapping[str, str],
-    proof: LayoutProof,
-) -> Faults:
-    tasks: dict[str, int] = {}
-    for walk in walks:
-        tasks.setdefault(walk["instruction_text"], len(tasks))
-    lines = [
-        {
-            "episode_index": number,
-            "tasks": [walk["instruction_text"]],
-            "length": walk["n_frames"],
-            **{key: walk[key] for key in ("episode_id", "trajectory", "kind")},
-        }
-        for number, walk in enumerate(walks)
-    ]
-    if _jsonl(target / "meta" / "episodes.jsonl") != lines:
-        yield "", f"{target.name}: episodes.jsonl is not that of the walks"
-    wanted = [{"task_index": index, "task": task} for task, index in tasks.items()]
-    if _jsonl(target / "meta" / "tasks.jsonl") != wanted:
-        yield "", f"{target.name}: tasks.jsonl is not that of the walks"
-    of_walk: dict[str, list[Row]] = {}
-    for pose in poses:
-        if pose["camera"] == f"depth.{_DOWN}":
-            of_walk.setdefault(pose["trajectory"], []).append(pose)
-    files: dict[str, dict[str, str]] = {}
-    for number, walk in enumerate(walks):
-        chunk = f"chunk-{number // 1000:03d}"
-        path = target / "data" / chunk / f"episode_{number:06d}.parquet"
-        proof.rows["internvla-n1"] += walk["n_frames"]
-        if not _is_internvla(pq.read_table(path), walk, of_walk[walk["frames_of"]], number, tasks):
-            yield walk["trajectory"], f"{path.relative_to(target.parent)} is not that of the walk"
-        for kind, camera in images.items():
-            suffix = "png" if camera.startswith("depth") else "jpg"
-            files.setdefault(f"videos/{chunk}/{kind}", {}).update(
-                {
-                    f"episode_{number:06d}_{k}.{suffix}": f"images/{walk['frames_of']}/{camera}/{k + 1:03d}.{suffix}"
-                    for k in range(walk["n_frames"])
-                }
-            )
-    for place, expected in files.items():
-        yield from _linked(folder, target / place, expected, "")
-
-
-def _is_internvla(table: pa.Table, walk: Row, poses: Sequence[Row], number: int, tasks: Mapping[str, int]) -> bool:
-    count = walk["n_frames"]
-    found = table.to_pydict()
-    matrices = np.array(found.pop(f"pose.{_DOWN}"), np.float64)
-    expected = {
-        "action": [-1, *walk["actions"][:-1]],
-        f"goal.{_DOWN}": [pose["goal"] or [-1, -1] for pose in poses],
-        f"relative_goal_frame_id.{_DOWN}": [-1 if pose["goal_frame"] is None else pose["goal_frame"] for pose in poses],
-        "timestamp": [float(k) for k in range(count)],
-        "frame_index": [*range(count)],
-        "episode_index": [number] * count,
-        "task_index": [tasks[walk["instruction_text"]]] * count,
-    }
-    wanted = np.array([_looking_down(pose) for pose in poses])
-    return (
-        found == expected and matrices.shape == wanted.shape and bool(np.allclose(matrices, wanted, atol=1e-9, rtol=0))
-    )
-
-
-def _looking_down(pose: Row) -> np.ndarray[Any, Any]:
-    """Return the matrix (4, 4) that transforms points from the frame of a pose's camera (x right, y down, z ahead) to
-    Habitat's frame.
-    """
-    turn, pitch = pose["heading"], math.radians(pose["look_down"])
-    ahead = np.array([-math.sin(turn) * math.cos(pitch), -math.sin(pitch), -math.cos(turn) * math.cos(pitch)])
-    right = np.array([math.cos(turn), 0.0, -math.sin(turn)])
-    place = [pose["position"]["x"], pose["position"]["y"] + pose["eye_height"], pose["position"]["z"]]
-    matrix = np.eye(4)
-    matrix[:3] = np.column_stack([right, np.cross(ahead, right), ahead, place])
-    return matrix
-
-
-def _linked(folder: Path, place: Path, wanted: Mapping[str, str], walk: str) -> Faults:
-    """Yield (walk, what is wrong) for the files of the folder `place`. `wanted` gives for the name of each file the
-    path of the hub's image that the file must be or equal.
-    """
-    found = {entry.name for entry in place.iterdir()}
-    if found != wanted.keys():
-        yield walk, f"{place.relative_to(folder)}: the files are not the walk's frames"
-    for name in sorted(found & wanted.keys()):
-        here, there = place / name, folder / wanted[name]
-        if not os.path.samefile(here, there) and here.read_bytes() != there.read_bytes():
-            yield walk, f"{here.relative_to(folder)} is not {wanted[name]}"
-
-
 def _image(walk: Row, frame: int) -> str:
     return f"images/{walk['frames_of']}/rgb/{frame + 1:03d}.jpg"
-
-
-def _jsonl(path: Path) -> list[Any]:
-    return [orjson.loads(line) for line in path.read_bytes().splitlines()]

@@ -45,7 +45,7 @@ def trajectories(
             "--layout",
             metavar="NAME",
             help="streamvln (always written, since the others name or link its images), navila, uninavid, janusvln, "
-            "internvla-n1; may be repeated",
+            "internvla-n1, lerobot; may be repeated",
         ),
     ] = None,
     camera: Annotated[str, typer.Option(help="main camera: streamvln, snav or vlnce")] = "streamvln",

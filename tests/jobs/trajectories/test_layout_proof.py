@@ -72,6 +72,50 @@ def images_of_n1(folder: Path) -> list[Path]:
     return [place / "episode_000000_0.jpg", place / "episode_000000_4.jpg"]
 
 
+def lr(folder: Path) -> Path:
+    return folder / "lerobot/data/chunk-000/file-000.parquet"
+
+
+def rewritten(path: Path, change: Callable[[list[pa.Table]], list[pa.Table]]) -> None:
+    """Replace the row groups of a file."""
+    with pq.ParquetFile(path) as file:
+        schema = file.schema_arrow
+        groups = [file.read_row_group(group) for group in range(file.num_row_groups)]
+    path.unlink()
+    with pq.ParquetWriter(path, schema) as writer:
+        for table in change(groups):
+            writer.write_table(table)
+
+
+def in_the_first_walk(column: str, change: Callable[[list[Any]], object]) -> Callable[[Path], None]:
+    """A fault in one column of the first walk of a LeRobot dataset."""
+
+    def changed(groups: list[pa.Table]) -> list[pa.Table]:
+        values = groups[0][column].to_pylist()
+        change(values)
+        at = groups[0].schema.get_field_index(column)
+        field = groups[0].schema.field(at)
+        return [groups[0].set_column(at, field, pa.array(values, field.type)), *groups[1:]]
+
+    return lambda folder: rewritten(lr(folder), changed)
+
+
+def swapped(values: list[Any]) -> None:
+    values[0], values[5] = values[5], values[0]
+
+
+def described(name: str, change: Callable[[dict[str, Any]], object]) -> Callable[[Path], None]:
+    """A fault in a JSON document of a LeRobot dataset."""
+
+    def changed(folder: Path) -> None:
+        path = folder / "lerobot/meta" / name
+        found = json.loads(path.read_bytes())
+        change(found)
+        replace(path, json.dumps(found).encode())
+
+    return changed
+
+
 def answered(key: str, place: int, value: Any) -> Callable[[list[Any]], object]:
     return lambda found: found[place].update({key: value})
 
@@ -108,6 +152,31 @@ MUTANTS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "a length": ("internvla-n1", lambda f: lines(first_of(f, "episodes.jsonl")[0], answered("length", 0, 3))),
     "images swapped": ("internvla-n1", lambda f: swap(*images_of_n1(f))),
     "an image lost": ("internvla-n1", lambda f: images_of_n1(f)[0].unlink()),
+    "a frame's action": ("lerobot", in_the_first_walk("action", lambda found: found.__setitem__(2, found[2] % 3 + 1))),
+    "a frame's state": ("lerobot", in_the_first_walk("observation.state", lambda found: found[2].__setitem__(3, 9.0))),
+    "a frame's leaf": ("lerobot", in_the_first_walk("leaf", lambda found: found.__setitem__(2, 7))),
+    "an end": ("lerobot", in_the_first_walk("next.done", lambda found: found.__setitem__(0, True))),
+    "images of frames swapped": ("lerobot", in_the_first_walk("observation.images.rgb", swapped)),
+    "depth of frames swapped": ("lerobot", in_the_first_walk("observation.images.depth.125cm_30deg", swapped)),
+    "walks swapped": ("lerobot", lambda f: rewritten(lr(f), lambda groups: [groups[1], groups[0], *groups[2:]])),
+    "a walk lost": ("lerobot", lambda f: rewritten(lr(f), lambda groups: groups[:-1])),
+    "a walk twice": ("lerobot", lambda f: rewritten(lr(f), lambda groups: [*groups, groups[-1]])),
+    "a file lost": ("lerobot", lambda f: lr(f).unlink()),
+    "a length of time": ("lerobot", described("info.json", lambda found: found.update(fps=10))),
+    "a shape": (
+        "lerobot",
+        described("info.json", lambda found: found["features"]["observation.images.rgb"].update(shape=[24, 32, 1])),
+    ),
+    "a mean": ("lerobot", described("stats.json", lambda found: found["action"].update(mean=[1.0]))),
+    "a colour": (
+        "lerobot",
+        described("stats.json", lambda found: found["observation.images.rgb"].update(std=[[[0]], [[0]], [[0]]])),
+    ),
+    "an instruction": ("lerobot", lambda f: cell(f / "lerobot/meta/tasks.parquet", "task", lambda text: text + "!")),
+    "an episode": (
+        "lerobot",
+        lambda f: cell(f / "lerobot/meta/episodes/chunk-000/file-000.parquet", "episode_id", lambda number: number + 1),
+    ),
     "a scene lost": ("internvla-n1", lambda f: shutil.rmtree(min((f / "internvla-n1").iterdir()))),
 }
 
@@ -131,7 +200,7 @@ def test_a_planted_fault_is_found(fault: str, copy: Path) -> None:
     assert all(what.startswith(f"{layout}: ") for what in found)
 
 
-@pytest.mark.parametrize("layout", ["navila", "uninavid", "janusvln", "internvla-n1"])
+@pytest.mark.parametrize("layout", ["navila", "uninavid", "janusvln", "internvla-n1", "lerobot"])
 def test_sound_layouts_have_no_fault(layout: str, made: Path) -> None:
     assert faults_of(made, layout) == []
 

@@ -155,7 +155,7 @@ def test_trajectories_are_proven(asked: Request, made: Path) -> None:
     assert counts["navila"] == sum(1 for _ in (made / "navila" / "annotations.json").open())
     assert counts["janusvln"] == sum(sum(row["repeats"]) for row in walks)
     assert counts["uninavid"] == len(json.loads((made / "uninavid" / "annotations.json").read_bytes()))
-    assert counts["internvla-n1"] == sum(row["n_frames"] for row in walks)
+    assert counts["internvla-n1"] == counts["lerobot"] == sum(row["n_frames"] for row in walks)
 
 
 def test_a_walk_that_no_file_speaks_of_is_missed(asked: Request, made: Path, tmp_path: Path) -> None:
