@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,17 +14,20 @@ import pyarrow.compute as pc
 from condvln.explorer.episode import UNPUBLISHED
 from condvln.explorer.evidence import SceneFacts
 from condvln.export.rows import rows_of
+from condvln.instructions.tables import programs_from_table
 from condvln.manifest import manifest_lines, manifest_paths, manifest_row
 from condvln.navigation.navmesh_file import parse_navmesh, read_navmesh
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.navigation.tile import NavMeshTile
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
+from factory.pipeline import Pipeline
 from factory.snapshot import Snapshot
-from jobs.pipeline import built_navmeshes
+from jobs.pipeline import build_pipeline, built_navmeshes
 from jobs.workspace import published
 from schemas.config import Config, Thresholds
-from schemas.errors import InputError
+from schemas.errors import InputError, StoreError
+from schemas.program import Program
 
 __all__ = ["ExploredScene", "Scenes", "export_scenes", "snapshot_scenes"]
 
@@ -44,6 +47,7 @@ class ExploredScene:
     rows : manifest rows of its episodes, sorted by id
     relations : rows of its relations; None where they are not known
     tables : rows of ``rejections`` and ``funnel`` by name
+    candidates : reads the scene's candidate programs by id, which the snapshot does not publish
     """
 
     scene: Scene
@@ -53,6 +57,7 @@ class ExploredScene:
     seeable: Mapping[str, bool | None] | None = None
     tables: Mapping[str, Sequence[Row]] | None = None
     thresholds: Thresholds | None = None
+    candidates: Callable[[], Mapping[str, Program]] = dict
 
     @cached_property
     def facts(self) -> SceneFacts | None:
@@ -101,7 +106,7 @@ def snapshot_scenes(config: Config, export: Path | None) -> Scenes:
         splits.update({str(line.fields().get("episode_id")): path.stem for line in manifest_lines(path)})
 
     def scenes() -> Iterator[ExploredScene]:
-        built = built_navmeshes(config, snapshot)
+        built, pipeline = built_navmeshes(config, snapshot), build_pipeline(config)
         for source in sorted(snapshot.manifest.tables["scenes"].partitions):
             tables = {name: _Sliced(snapshot, name, source) for name in _TABLES}
             roots = [one.root for one in config.sources if one.family == source]
@@ -118,9 +123,19 @@ def snapshot_scenes(config: Config, export: Path | None) -> Scenes:
                     {row["object_id"]: row["seeable"] for row in rows_of(own["visibility"])},
                     {name: rows_of(own[name]) for name in ("rejections", "funnel")},
                     config.thresholds,
+                    partial(_candidates, snapshot, pipeline, f"{source}/{scene_id}"),
                 )
 
     return Scenes(config.name, snapshot.snapshot_id, scenes)
+
+
+def _candidates(snapshot: Snapshot, pipeline: Pipeline, unit_id: str) -> Mapping[str, Program]:
+    """Return a scene's candidate programs by id; none where the store no longer has them."""
+    try:
+        table = snapshot.unit_table(unit_id, pipeline, "candidates")
+    except StoreError:
+        return {}
+    return dict(programs_from_table(table)) if table.num_rows else {}
 
 
 class _Sliced:

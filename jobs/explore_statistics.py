@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from condvln.explorer.rejected import clash_examples, program_example, rule_text
 from jobs.explore_drift import EpisodeFacts, Former, drift_document
 from jobs.explore_scenes import ExploredScene
 
@@ -28,6 +29,7 @@ class Counts:
     relations: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    places: dict[tuple[str, str, str], Counter[str]] = field(default_factory=dict)
     examples: dict[tuple[str, str, str], list[Document]] = field(default_factory=dict)
     ids: dict[str, EpisodeFacts] = field(default_factory=dict)
 
@@ -51,10 +53,30 @@ class Counts:
         for row in tables.get("rejections", ()):
             key = (source, row["stage"], row["reason"])
             self.rejections[key] = self.rejections.get(key, 0) + row["count"]
-            kept = self.examples.setdefault(key, [])
-            if row["example"] is not None and len(kept) < EXAMPLES:
-                kept.append({"scene": scene_id, "cell": row["cell"], "example": row["example"]})
+            self.places.setdefault(key, Counter())[scene_id] += row["count"]
+            self.examples.setdefault(key, [])
+        self._keep_examples(scene)
         self.ids.update({str(row["episode_id"]): EpisodeFacts.of(row, row["split"]) for row in scene.rows})
+
+    def _keep_examples(self, scene: ExploredScene) -> None:
+        """Keep an example of each reason of the scene that has too few, in words where its candidate is known."""
+        source, scene_id = scene.scene.family, scene.scene.scene_id
+        rows = (scene.tables or {}).get("rejections", ())
+        wanted = {
+            (row["stage"], row["reason"]): row
+            for row in rows
+            if len(self.examples[source, row["stage"], row["reason"]]) < EXAMPLES
+        }
+        if not wanted:
+            return
+        programs = scene.candidates()
+        clashes = clash_examples(programs, [reason for stage, reason in wanted if stage == "programs"])
+        for (stage, reason), row in wanted.items():
+            known = programs.get(row["example"] or "")
+            found = clashes.get(reason) if stage == "programs" else None if known is None else program_example(known)
+            if found is not None:
+                place = {"scene": scene_id, "cell": "" if stage == "programs" else row["cell"]}
+                self.examples[source, stage, reason].append({**place, **found})
 
 
 def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Former | None) -> Document:
@@ -71,7 +93,15 @@ def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former
         "relations": [[*key, *sums] for key, sums in sorted(counts.relations.items())],
         "funnel": [[*key, *sums] for key, sums in sorted(counts.funnel.items())],
         "rejections": [
-            {"source": key[0], "stage": key[1], "reason": key[2], "count": count, "examples": counts.examples[key]}
+            {
+                "source": key[0],
+                "stage": key[1],
+                "reason": key[2],
+                "rule": rule_text(key[1], key[2]),
+                "count": count,
+                "places": counts.places[key].most_common(EXAMPLES),
+                "examples": counts.examples[key],
+            }
             for key, count in sorted(counts.rejections.items(), key=lambda item: (-item[1], item[0]))
         ],
         "gate": None if record is None else record.get("bias"),

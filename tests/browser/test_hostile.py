@@ -61,8 +61,8 @@ def made_hostile(out: Path) -> list[dict[str, Any]]:
         "objects": [], "rooms": [], "relations": [[text, text, 1, 1] for text in HOSTILE],
         "funnel": [[text, text, 1, 1, 1, 1] for text in HOSTILE],
         "rejections": [
-            {**dict.fromkeys(("source", "stage", "reason"), text), "count": 1,
-             "examples": [dict.fromkeys(("scene", "cell", "example"), text)]}
+            {**dict.fromkeys(("source", "stage", "reason", "rule"), text), "count": 1, "places": [[text, 1]],
+             "examples": [{**dict.fromkeys(("scene", "cell", "example"), text), "objects": [text]}]}
             for text in HOSTILE
         ],
         "gate": None, "left_out": dict.fromkeys(HOSTILE, 1),

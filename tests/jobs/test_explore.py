@@ -98,6 +98,30 @@ def test_a_condition_has_the_numbers_of_the_tables(asked: Exploration) -> None:
     assert compared
 
 
+def test_rejections_have_examples_that_the_scene_holds(asked: Exploration) -> None:
+    assert asked.config is not None
+    explore(dataclasses.replace(asked, predictions=()))
+    found = chunks(asked.out)
+    plans = [found[f"scene-{k}"] for k in range(len(found["index"]["scenes"]))]
+    held = {plan["id"]: {item["id"] for item in plan["objects"]} for plan in plans}
+    counts = Counter[tuple[str, str, str]]()
+    for row in published(asked.config).table("rejections").to_pylist():
+        counts[row["stage"], row["reason"], row["scene_id"]] += row["count"]
+    shown = Counter[str]()
+    for one in found["statistics"]["rejections"]:
+        assert one["rule"], one["reason"]
+        assert one["places"]
+        for scene, count in one["places"]:
+            assert count == counts[one["stage"], one["reason"], scene]
+        for example in one["examples"]:
+            shown[one["stage"]] += 1
+            assert example["objects"]
+            assert set(example["objects"]) <= held[example["scene"]]
+            assert all(name in example["example"] for name in example["objects"] if f"({name})" in example["example"])
+    assert shown["programs"]
+    assert shown["episodes"]
+
+
 def test_an_export_alone_is_shown_without_furniture(asked: Exploration, export: Path, tmp_path: Path) -> None:
     explore(Exploration(tmp_path / "page", export, roots=asked.roots, before=export))
     found = chunks(tmp_path / "page")

@@ -94,10 +94,16 @@
       for (const one of found.filter((edge) => holds(edge, "near"))) plan.way("rays", [item.center, scene.objects[one.other].center], "measure");
     }
 
-    const options = { title: `Plan of scene ${name}, north up`, pick: (item, k) => pick(k), level: null };
+    /* Objects that a link names, such as those of a rejected candidate. */
+    const marked = (asked.mark || "").split("\n").filter(Boolean);
+    const options = { title: `Plan of scene ${name}, north up`, named: marked, pick: (item, k) => pick(k), level: null };
     const draw = () => {
       plan = new explorer.Plan(holder, scene, options);
       if (chosen >= 0) light(graph ? edges(graph, scene, chosen) : []);
+      else if (marked.length) {
+        plan.light("goal", marked);
+        plan.name(marked);
+      }
     };
     list.addEventListener("change", () => pick(Number(list.value)));
     const navmesh = element("input", { type: "checkbox", checked: true, onchange: () => {

@@ -73,12 +73,16 @@
       rows.map((row) => [link(row[0], "browse", { source: row[0] }), row[1], ...row.slice(2).map(count)]), "funnel");
   }
 
+  /* Return the reasons of rejection, each with its rule, the scenes where it is most frequent, and examples, whose
+     objects are marked in the scene that they link to. */
   function rejections(rows) {
-    const named = rows.map((row) => [row.source, row.stage, row.reason, count(row.count), row.examples.length
-      ? element("details", {}, element("summary", {}, `${row.examples.length} examples`), element("ul", {}, row.examples.map((one) =>
-        element("li", {}, link(one.scene, `scene/${encodeURIComponent(`${row.source}/${one.scene}`)}`), ` ${one.cell}: `, element("bdi", {}, one.example)))))
-      : "–"]);
-    return explorer.table("Why candidates were rejected", ["source", "stage", "reason", "#count", "examples"], named, "rejections");
+    const scene = (source, id, parameters) => link(id, `scene/${encodeURIComponent(`${source}/${id}`)}`, parameters);
+    const named = rows.map((row) => [row.source, row.stage, row.reason, count(row.count), row.rule,
+      element("ul", { class: "plain" }, row.places.map(([id, n]) => element("li", {}, scene(row.source, id, {}), `: ${count(n)}`))),
+      row.examples.length ? element("details", {}, element("summary", {}, `${row.examples.length} ${row.examples.length === 1 ? "example" : "examples"}`),
+        element("ul", { class: "plain" }, row.examples.map((one) => element("li", {},
+          scene(row.source, one.scene, { mark: one.objects.join("\n") }), one.cell ? ` ${one.cell}: ` : ": ", element("bdi", {}, one.example))))) : "–"]);
+    return explorer.table("Why candidates were rejected", ["source", "stage", "reason", "#count", "rule", "most in", "examples"], named, "rejections");
   }
 
   function gate(found) {
