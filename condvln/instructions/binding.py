@@ -146,7 +146,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
     """
     if slot.form == "leaf":
         listener.leaves.setdefault(slot.index, []).append(listener.context)
-    elif slot.form in ("yes", "no", "again", "not_again"):
+    elif slot.form in ("yes", "no", "lacks", "again", "not_again"):
         context, condition, truth = _latest(listener)
         if agreeing and slot.form == "yes" and truth is False:
             raise ValueError(f"the answer agrees with the denial of condition {condition}")

@@ -32,22 +32,24 @@ LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
     "exists", "absent", "exists_again", "is_there", "is", "is_not", "is_again", "asks_is",
-    "see", "check", "for", "look", "yes_one", "no_one", "yes_it", "no_it",
-    "go", "then", "last", "second", "in", "of", "of_anchor", "there", "place", "with", "scope",
+    "see", "check", "for", "look", "look_at", "it_is", "it_is_not", "yes_one", "no_one", "yes_it", "no_it",
+    "go", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
 
-Form = Literal["asserted", "denied", "question", "see", "yes", "no", "again", "not_again", "leaf"]
+Form = Literal["asserted", "denied", "question", "see", "yes", "no", "lacks", "again", "not_again", "leaf"]
 
 _WORDS_OF: Final[Mapping[Form, int]] = {
-    "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "again": 4, "not_again": 4, "leaf": 0,
+    "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "lacks": 3,
+    "again": 4, "not_again": 4, "leaf": 0,
 }  # fmt: skip
 """Approximate number of words of a slot's phrase."""
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
 _FORMS: Final[Mapping[str, Form]] = {
-    "see ": "see", "yes ": "yes", "no ": "no", "again ": "again", "-again ": "not_again", "-": "denied", "": "asserted",
+    "see ": "see", "yes ": "yes", "no ": "no", "lacks ": "lacks",
+    "again ": "again", "-again ": "not_again", "-": "denied", "": "asserted",
 }  # fmt: skip
 
 
@@ -80,12 +82,15 @@ class Template:
     questions : indices of the conditions that are worded as questions
     whether : indices of the requests to look that are answered by "if so" or "if not". They must be worded with
         "whether" or "if": "check the kitchen for a lamp; if so" is no English
+    answered : indices of the requests to look that are answered next, by a slot. They may be worded as "look at the
+        lamp", since the answer can say the rest: "if it's near the bed"
     """
 
     pieces: tuple[Piece, ...]
     voices: frozenset[str]
     questions: frozenset[int] = frozenset()
     whether: frozenset[int] = frozenset()
+    answered: frozenset[int] = frozenset()
 
     @property
     def length(self) -> int:
@@ -118,14 +123,15 @@ class Language:
 
     slots : all phrases of each slot, over all voices
     elliptic : answers that repeat the verb of "there is", used only after a question with that verb
-    placed : answers that something is at a place, used only if the question names one
+    found : answers after "look for" alone ("if you find one"); none in English
     connectives : words that connect clauses, by function
     predicates : phrases of predicates with anchors; both : the word between two anchors
-    lying : words between the noun of a stop and its relation, one of which a text uses ("que está"); none in English
+    lying : words between the noun of a stop and its relation ("que está"); empty in English
     unlinked : predicates that follow the noun of a stop without these words
     restates_noun : whether an earlier condition is denied by its noun alone, if the text has this noun only there
     compounds : labels and room types that make a noun of two words ("the kitchen sink")
-    room_first : whether the room comes before "there is" ("en la cocina hay")
+    room_first : whether the room comes before "there is" ("en la cocina hay") and before the relation of a stop ("la
+        planta del salón que está cerca del sofá")
     bearings : egocentric phrases; a text uses the phrases at the same index of all lists; bearing_stops : egocentric
             phrases that follow the noun of a stop
     superlatives : "bigger" and "smaller" by class of noun; superlative_first : whether they precede the noun
@@ -137,10 +143,10 @@ class Language:
     voices: tuple[Voice, ...]
     slots: Mapping[str, tuple[str, ...]]
     elliptic: frozenset[str]
-    placed: frozenset[str]
+    found: frozenset[str]
     connectives: Mapping[str, tuple[str, ...]]
     predicates: Mapping[Predicate, tuple[str, ...]]
-    lying: tuple[str, ...]
+    lying: str
     unlinked: frozenset[str]
     restates_noun: bool
     compounds: tuple[frozenset[str], frozenset[str]]
@@ -211,7 +217,10 @@ class Language:
 
     def answered(self, phrase: str, noun: Noun) -> str:
         """Return an answer phrase with the pronoun of `noun` filled in: "{lo} hay" becomes "la hay"."""
-        return phrase.replace("{lo}", self.articles["pronoun"][noun.kind]) if "{" in phrase else phrase
+        if "{" not in phrase:
+            return phrase
+        pronoun, none = (self.articles[name][noun.kind] for name in ("pronoun", "none"))
+        return phrase.replace("{lo}", pronoun).replace("{ninguno}", none)
 
     def contracted(self, text: str) -> str:
         """Return `text` with prepositions and articles contracted where the language contracts them (Spanish: "de el"
@@ -243,10 +252,10 @@ def language(code: str = "en") -> Language:
         voices=voices,
         slots={slot: tuple(dict.fromkeys(p for voice in voices for p in voice.slots[slot])) for slot in SLOTS},
         elliptic=frozenset(document["elliptic"]),
-        placed=frozenset(document.get("placed", ())),
+        found=frozenset(document.get("found", ())),
         connectives={name: tuple(phrases) for name, phrases in document["connectives"].items()},
         predicates={p: _predicate(document, p) for p in PREDICATES if p not in (*SUPERLATIVES, *BEARINGS)},
-        lying=tuple(document.get("lying", ())),
+        lying=document.get("lying", ""),
         unlinked=frozenset(document.get("unlinked", ())),
         restates_noun=bool(document.get("restates_noun")),
         compounds=(frozenset(document["compounds"]["nouns"]), frozenset(document["compounds"]["rooms"])),
@@ -346,7 +355,13 @@ def _template(
         if isinstance(piece, Slot) and piece.form == "see" and isinstance(after, str)
         if after.lower().lstrip(".:; ").startswith(tuple(f"{answer}," for answer in answers))
     )
-    return Template(tuple(pieces), frozenset(entry["voices"].split()), questions, whether)
+    answered = frozenset(
+        piece.index
+        for piece, after in zip(pieces, pieces[2:], strict=False)
+        if isinstance(piece, Slot) and isinstance(after, Slot) and piece.form == "see"
+        if after.index == piece.index and after.form in ("yes", "no", "lacks")
+    )
+    return Template(tuple(pieces), frozenset(entry["voices"].split()), questions, whether, answered)
 
 
 def _slot(text: str) -> Slot:

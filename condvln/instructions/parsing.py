@@ -28,10 +28,10 @@ PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP",
 ANSWERS: Final = ("yes_one", "yes_it", "yes_any", "no_one", "no_it", "no_any")
 """Rules of the phrases that answer a question; all but two show what kind of question it was."""
 
-_RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no"}
+_RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no", "lacks": "no"}
 """Grammar rules of slots that have another name; an answer may be given in full."""
 
-_ARTICLES: Final = (("a", "indefinite"), ("lo", "pronoun"), ("cercano", "nearest"))
+_ARTICLES: Final = (("a", "indefinite"), ("lo", "pronoun"), ("cercano", "nearest"), ("ninguno", "none"))
 """Words of phrases that agree with a noun, and their lists of forms."""
 
 _TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
@@ -98,16 +98,15 @@ class _GrammarWriter:
     def source(self) -> str:
         w, rules = self.words, []
         for name, phrases in w.slots.items():
-            if name not in ("then", "second", "last", "there", "place", *ANSWERS):
+            if name not in ("then", "second", "last", "there", *ANSWERS):
                 rules.append(f"_{name}: {self._any(phrases)}")
         rules.append(f"_joint: {self._any([*w.slots['then'], *w.slots['second'], *w.slots['last']])}")
         there = " | there" if w.slots["there"] else ""
         if there:
             rules.append(f"there: {self._any(w.slots['there'])}")
-        rules.append(f"place: {self._any(w.slots['place'])}")
         lying = "[_lying] " if w.lying else ""
         if lying:
-            rules.append(f"_lying: {self._any(w.lying)}")
+            rules.append(f"_lying: {self._any([w.lying])}")
         rules += self._answers()
         rules += [f"{_rule(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
         rules += [f"{_rule(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
@@ -121,10 +120,11 @@ class _GrammarWriter:
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
             "moves: _go object (_joint object)*",
             f"object: _THE _noun [_where_of] | _THE _noun ({lying}qualifier [_where_anchor] | bearing_stop)",
+            *([f"    | _THE _noun _where_of {lying}qualifier"] if w.room_first else []),
             f"    | {compared} [_where_of]",
             *(["    | compound"] if w.compounds[0] else []),
             "compound: _THE ROOM NOUN",
-            "_where: _in room | place",
+            "_where: _in room",
             f"_where_anchor: _of_anchor room{there}",
             f"_where_of: _of room{there}",
             "room: _THE (ROOM | BOTH) [_with _THE _noun]",
@@ -135,7 +135,6 @@ class _GrammarWriter:
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             f"asserted: {self._either('exists')} _noun [qualifier] [_where] -> some",
             *(["    | _in room _exists _noun [qualifier] -> some"] if w.room_first else []),
-            *(["    | place _exists _noun -> some"] if w.room_first else []),
             f"    | _THE _noun [_where_of] {self._either('is')} (qualifier | bearing) -> the",
             f"    | COMMA _in room COMMA _THE _noun {self._either('is')} (qualifier | bearing) -> the",
             *([f"    | compound {self._either('is')} (qualifier | bearing) -> the"] if w.compounds[0] else []),
@@ -149,12 +148,16 @@ class _GrammarWriter:
             *(["    | _asks_is compound (qualifier | bearing) QUESTION -> the"] if w.compounds[0] else []),
             "see: _see asserted",
             "    | _look _noun [qualifier] [_where] -> some",
+            "    | _look_at _THE _noun [_where_of] -> the",
+            *(["    | _look_at compound -> the"] if w.compounds[0] else []),
             *(
                 [] if w.room_first else ["    | _check room _for _noun [qualifier] -> some"]
             ),  # it is "see" with the room first
             "_noun: NOUN | BOTH",
-            f"yes: {' | '.join(self._answering('yes'))} | asserted",
-            f"no: {' | '.join(self._answering('no'))} | denied",
+            "is_it: _it_is (qualifier | bearing)",
+            "is_it_not: _it_is_not (qualifier | bearing)",
+            f"yes: {' | '.join(self._answering('yes'))} | is_it | asserted",
+            f"no: {' | '.join(self._answering('no'))} | is_it_not | denied",
         ]
         bodies: dict[str, str] = {}
         for category in CATEGORIES:
@@ -308,6 +311,13 @@ class _TreeReader:
             answers = subtree.data in ("yes", "no")
             if answers:
                 (subtree,) = _subtrees(subtree)
+                if subtree.data in ("is_it", "is_it_not"):
+                    before, relation = conditions[slot.index], self._stop(subtree).qualifier
+                    if not before.definite or before.qualifier is not None:
+                        raise FormatError(f"the answer to {before} does not fit the question")
+                    conditions[slot.index] = replace(before, qualifier=relation)
+                    self._know(conditions[slot.index], definite=True)
+                    continue
                 if subtree.data in ANSWERS:
                     kind = str(subtree.data).partition("_")[2]
                     if kind != "any" and (kind == "it") != conditions[slot.index].definite:
@@ -317,10 +327,10 @@ class _TreeReader:
             before = conditions.get(slot.index)
             if before is not None and phrase.room in (None, self.scope):
                 # It was asked about before, so its room is known, and its relation where only the noun is said.
-                if self.words.restates_noun and phrase.qualifier is None and not phrase.definite:
+                if phrase.qualifier is None and not phrase.definite:
                     phrase = replace(phrase, qualifier=before.qualifier)
                 phrase = replace(phrase, room=before.room)
-                self.last_room = None
+                self.last_room = self.last_room if slot.form == "lacks" else None
             elif before is None and phrase.room is None and phrase.definite:
                 phrase = replace(phrase, room=self.asked_room)
             if conditions.setdefault(slot.index, phrase) != phrase:
@@ -386,7 +396,7 @@ class _TreeReader:
                 elif child.data == "compound":
                     room = self._place(child)
                     label = self.labels[_plain(_tokens(child)[1])]
-                elif child.data in ("there", "place"):
+                elif child.data == "there":
                     if self.last_room is None:
                         raise FormatError("the text says 'there' before it names a room")
                     room = self.last_room

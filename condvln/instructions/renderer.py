@@ -15,14 +15,14 @@ __all__ = ["Renderer", "sentences"]
 
 LONGEST_SENTENCE: Final = 25
 """Number of words above which a sentence is split at its colon or semicolon."""
+LOOK_AT_SHARE: Final = 0.5
+"""Share of requests about a definite object that say "look at the lamp. If it's near the bed, …"."""
 CHECK_SHARE: Final = 0.4
 """Share of requests to look for something that name the room first ("check the kitchen for a lamp")."""
 LOOK_SHARE: Final = 0.4
 """Share of the other requests about an indefinite object that say "look for", not "see if there is"."""
 COMPOUND_SHARE: Final = 0.6
 """Share of texts that say "the kitchen sink", not "the sink in the kitchen"."""
-_NOT_PLACES: Final = ("far from", "higher than", "lower than")
-"""Predicates that name no place: to "if the lamp is higher than the bed", nobody says "if it is there"."""
 _PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
 """Slot of the preposition before a room: of what is there, of what belongs there, behind the anchor of a stop."""
 
@@ -43,16 +43,18 @@ class Renderer:
         self._asked: set[int] = set()
         self._room_asked: str | None = None
         self._is_beside = False
-        self._same_room_asked = False
         self._answered = "", 0
         self._requests = 0
         self._is_room_first = False
         self._shared: set[str] = set()
-        self._asked_by_exists = False
+        self._asked_by_exists = self._asked_by_look = False
+        self._looked_at: int | None = None
+        self._denied: int | None = None
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
         self._whether: frozenset[int] = frozenset()
+        self._answered_next: frozenset[int] = frozenset()
         self._room_of: dict[str, RoomRef] = {}
         self._found: set[str] = set()
         self._noun_only: frozenset[str] = frozenset()
@@ -75,7 +77,7 @@ class Renderer:
         opening = self._scope(rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(_sayable(templates, program, bool(opening)) if not self.short else templates)
-        self._whether = template.whether
+        self._whether, self._answered_next = template.whether, template.answered
         texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
         body = "".join(texts)
         if self._is_room_first:
@@ -115,18 +117,31 @@ class Renderer:
 
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
-            leaf, room = program.leaves[slot.index], self.last_room
+            leaf, room, introduced = program.leaves[slot.index], self.last_room, set(self._introduced)
             said = self.moves(leaf)
             self._answered = "", 0
             if any(move.is_bearing or move.room != room for move in leaf.moves):
                 # "there" would not be understood as a room of another branch, though that one was named last; nor is
                 # the next question about the room of the question before these stops.
                 self.last_room = self._room_asked = None
+            # Nor would "that bedroom" be understood as a room that only another branch has named.
+            self._introduced = introduced
             return said
         condition = program.conditions[slot.index]
         form = slot.form
+        if form in ("yes", "no", "lacks") and slot.index == self._looked_at:
+            self._looked_at, self._answered = None, ("", 0)
+            self._denied = None if form == "yes" else slot.index
+            return f"{self._phrase('it_is' if form == 'yes' else 'it_is_not')}{self._relation(condition)}"
+        if form == "lacks":
+            self._denied = slot.index
+            # A long noun is not said twice: "if there isn't one".
+            if not condition.definite and condition.label in self._once and " " not in self._noun(condition).text:
+                self._asked_by_exists, self._asked_by_look = True, False
+                return self._filled("absent", condition)
+            form = "no"
         if form in ("yes", "no"):
-            answer = self.words.answered(self._answer(form, condition), self._noun(condition))
+            answer = self.words.answered(self._answer(form, condition, slot.index), self._noun(condition))
             if (answer, self._requests - 1) != self._answered:
                 self._answered = answer, self._requests
                 return answer
@@ -135,7 +150,6 @@ class Renderer:
         asserted = form in ("asserted", "again")
         again = slot.index in self._asked
         self._asked.add(slot.index)
-        self._same_room_asked = not again and self._room_asked == condition.room.room_id
         self._is_beside = not again and self._is_in_room_asked(condition)
         self._room_asked = condition.room.room_id
         if again and not self._is_shared(condition):
@@ -148,7 +162,7 @@ class Renderer:
         if form == "question":
             return self._question(condition)
         if form == "see":
-            return self._see(condition, whether=slot.index in self._whether)
+            return self._see(condition, slot.index)
         return self._clause(condition, asserted=asserted)
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
@@ -164,9 +178,10 @@ class Renderer:
         """
         return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
 
-    def _answer(self, form: str, condition: Condition) -> str:
+    def _answer(self, form: str, condition: Condition, index: int) -> str:
         """Return the short answer that stands for a condition, such as "there is" or "it isn't". An answer that repeats
-        "there is" is used only after a question with these words.
+        "there is" is used only after a question with these words, and "you find one" after "look for" only. An answer
+        that would agree with a denial is not used after one.
         """
         slot = f"{form}_{'it' if condition.definite else 'one'}"
         phrases = self.voice.slots[slot]
@@ -174,8 +189,11 @@ class Renderer:
             return phrases[0]
         if not self._asked_by_exists and not condition.definite:
             phrases = tuple(phrase for phrase in phrases if phrase not in self.words.elliptic)
-        if condition.qualifier is not None and condition.qualifier.predicate in _NOT_PLACES:
-            phrases = tuple(phrase for phrase in phrases if phrase not in self.words.placed)
+        if self.words.found and not condition.definite:
+            sought = self._asked_by_look
+            phrases = tuple(phrase for phrase in phrases if (phrase in self.words.found) == sought) or phrases
+        if self._denied == index:
+            phrases = tuple(phrase for phrase in phrases if phrase not in self.words.connectives["so"])
         phrases = _shortest(phrases) if self.short else phrases
         before = self._answered[0]
         if before and len(phrases) > 1:
@@ -208,26 +226,12 @@ class Renderer:
             said = f"{self._subject(condition)} {verb}{self._relation(condition)}"
             self._know(condition)
             return said
-        self._asked_by_exists = True
+        self._asked_by_exists, self._asked_by_look = True, False
         self._know(condition)
         there = self._filled("exists" if asserted else "absent", condition)
         if self.words.room_first and not self._elided(condition.room):
-            place = self._place(condition) or f" {self._phrase('in')} {self._room(condition.room)}"
-            return f"{place[1:]} {there}{self._relation(condition)}"
-        return f"{there}{self._relation(condition)}{self._asked_where(condition)}"
-
-    def _asked_where(self, condition: Condition) -> str:
-        """Return the place at which the object of a condition may exist: "there" if `_place` allows this word, else its
-        room ("in the bedroom").
-        """
-        return self._place(condition) or self._where(condition.room, named=True)
-
-    def _place(self, condition: Condition) -> str:
-        """Return "there" if the question is about an object without a qualifier and the previous question was about the
-        same room; empty otherwise.
-        """
-        same = self._same_room_asked and condition.room == self.last_room and condition.qualifier is None
-        return f" {self._phrase('place')}" if same and not self._elided(condition.room) else ""
+            return f"{self._phrase('in')} {self._room(condition.room)} {there}{self._relation(condition)}"
+        return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
     def _again(self, condition: Condition, kind: str) -> str:
         """Return the words that repeat an earlier condition, without its room. The next stop then does not use "there",
@@ -235,7 +239,7 @@ class Renderer:
 
         kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
         """
-        self.last_room, self._asked_by_exists = None, True
+        self.last_room, self._asked_by_exists, self._asked_by_look = None, True, False
         if condition.definite:
             return (
                 f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
@@ -247,24 +251,34 @@ class Renderer:
         self._know(condition)
         if condition.definite:
             return f"{self._phrase('asks_is')} {self._subject(condition)}{self._relation(condition)}?"
-        self._asked_by_exists = True
+        self._asked_by_exists, self._asked_by_look = True, False
         where = self._where(condition.room, named=True)
         return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
 
-    def _see(self, condition: Condition, *, whether: bool) -> str:
+    def _see(self, condition: Condition, index: int) -> str:
         self._requests += 1
-        if condition.definite or whether:
+        if condition.definite:
+            # "If it is, look at the plant": not "if it is, see if the plant …", with "it is" again as the answer.
+            again = len(self.voice.slots["yes_it"]) == 1 and self._answered[0] in self.voice.slots["yes_it"]
+            sayable = index in self._answered_next and not self._is_set_apart(condition.room)
+            if sayable and (self._chance(LOOK_AT_SHARE) or again):
+                self._looked_at = index
+                subject = self._subject(condition)
+                self._know(condition)
+                return f"{self._phrase('look_at')} {subject}"
             return f"{self._request()} {self._clause(condition, asserted=True)}"
-        plain = condition.qualifier is None and condition.room.anchor_label is None and not self._place(condition)
+        if index in self._whether:
+            return f"{self._request()} {self._clause(condition, asserted=True)}"
+        plain = condition.qualifier is None and condition.room.anchor_label is None
         plain = plain and not self.words.room_first and not self._elided(condition.room)
         if plain and self._chance(CHECK_SHARE):
-            self._asked_by_exists = False
+            self._asked_by_exists = self._asked_by_look = False
             return f"{self._phrase('check')} {self._room(condition.room)} {self._filled('for', condition)}"
-        if self._chance(LOOK_SHARE):
-            self._asked_by_exists = False
+        if self._chance(LOOK_SHARE) and not (self.words.found and self._answered[0]):
+            self._asked_by_exists, self._asked_by_look = False, True
             self._know(condition)
-            relation = self._relation(condition)
-            return f"{self._filled('look', condition)}{relation}{self._asked_where(condition)}"
+            where = self._where(condition.room, named=True)
+            return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
         return f"{self._request()} {self._clause(condition, asserted=True)}"
 
     def _request(self) -> str:
@@ -326,17 +340,6 @@ class Renderer:
         relation = self.words.agreeing(relation, self._noun(named))
         return f" {relation} {f' {self.words.both} '.join(anchors)}"
 
-    def _lying(self, noun: Noun) -> str:
-        """Return the words between the noun of a stop and the relation after it, such as "que está". Empty if the text
-        has used these words before, except after a noun whose article is contracted: "al sillón al sur" would say "al"
-        twice.
-        """
-        article = self.words.articles["definite"][noun.kind]
-        contracted = any(apart.split()[-1] == article for apart in self.words.contractions)
-        if "lying" in self._turns and not contracted:
-            return ""
-        return f" {self._in_turn('lying', self.words.lying)}"
-
     def _at_start(self, bearing: Predicate, of_stop: bool) -> str:
         """Return the phrase of an egocentric direction, such as "on your left as you start". A text uses the same form
         throughout.
@@ -374,21 +377,22 @@ class Renderer:
         behind : whether it comes after another stop
         """
         named = self._noun(ref)
-        noun, kind = self.words.definite(named), "_of"
+        noun, kind, own_room = self.words.definite(named), "_of", False
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
             noun = self.words.compared(ref.qualifier.predicate, named)
         elif ref.qualifier is not None:
             # After a relation no "there"; "of the bedroom" goes with the anchor, which is in the same room.
             kind = "_anchor"
+            # "La planta del salón que está cerca del sofá".
+            own_room = self.words.room_first and not self._is_set_apart(ref.room)
         relation = self._relation(ref)
         if ref.is_bearing:
             # It is in the room of the start, which is not named; "there" would refer to that room next.
             self.last_room = None
             return f"{noun}{relation}"
         if relation and self.words.lying and ref.qualifier and ref.qualifier.predicate not in self.words.unlinked:
-            relation = f"{self._lying(named)}{relation}"
+            relation = f" {self.words.lying}{relation}"
         elided, known = self._elided(ref.room), not behind and self._is_known(ref)
-        self._know(ref)
         if same_room:
             there = " " + self._phrase("there") if self.voice.slots["there"] and not elided and kind == "_of" else ""
             # "the sink there and then to the toilet there" says it twice
@@ -401,6 +405,8 @@ class Renderer:
             noun_and_room = self._compound(ref)
             if noun_and_room is not None:
                 return noun_and_room
+        if own_room:
+            return f"{noun}{self._where(ref.room, '_of')}{relation}"
         return f"{noun}{relation}{self._where(ref.room, kind)}"
 
     def _is_known(self, ref: ObjectRef) -> bool:
@@ -428,7 +434,9 @@ class Renderer:
         return room.anchor_label is not None and not self._is_introduced(room) and not self._elided(room)
 
     def _is_introduced(self, room: RoomRef) -> bool:
-        """Whether "that bedroom" can only mean this room, which the text has named by an object in it."""
+        """Whether "that bedroom" can only mean this room, which the text has named by an object in it: in an earlier
+        question, or in the same leaf.
+        """
         return room in self._introduced and self._types[room.label] == 1
 
     def _room(self, room: RoomRef) -> str:

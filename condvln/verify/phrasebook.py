@@ -25,7 +25,7 @@ SO_FAR: Final = "\n"
 """Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
 
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
-_ARTICLES: Final = {"{a}": "indefinite", "{lo}": "pronoun", "{cercano}": "nearest"}
+_ARTICLES: Final = {"{a}": "indefinite", "{lo}": "pronoun", "{cercano}": "nearest", "{ninguno}": "none"}
 
 Match = tuple[str, str, frozenset[str]]
 """A match: the kind of phrase, its value, and the noun classes that its article agrees with."""
@@ -42,15 +42,13 @@ class Phrasebook:
     tree : words to nodes; under `END` the phrases that end there, under `SO_FAR` also those on the path
     contractions : the words that a contraction stands for
     lying : whether stops have words between noun and relation ("que está")
-    restates_noun : whether an earlier condition may be named again by its noun alone
-    room_first : whether a room comes before "there is" ("en la cocina hay")
+    room_first : whether a room comes before "there is" ("en la cocina hay") and before the relation of a stop
     """
 
     tree: Node
     contractions: Mapping[str, tuple[str, ...]]
     classes: frozenset[str]
     lying: bool
-    restates_noun: bool
     room_first: bool
 
     def tokens(self, text: str) -> list[str]:
@@ -79,7 +77,6 @@ def phrasebook(code: str = "en") -> Phrasebook:
         together,
         frozenset(articles["definite"]),
         lying=bool(document.get("lying")),
-        restates_noun=bool(document.get("restates_noun")),
         room_first=bool(document.get("room_first")),
     )
     for slot in document["phrases"]:
@@ -89,8 +86,8 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for connective, phrases in document["connectives"].items():
         for phrase in phrases:
             book.add(phrase, connective, "", book.classes)
-    for phrase in document.get("lying", ()):
-        book.add(phrase, "lying", "", book.classes)
+    if book.lying:
+        book.add(document["lying"], "lying", "", book.classes)
     for section, kind in (("bearings", "bearing"), ("bearing_stops", "bearing_stop")):
         for bearing, phrases in document[section].items():
             for phrase in phrases:

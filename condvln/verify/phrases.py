@@ -246,8 +246,8 @@ class PhraseReader:
         for end, _, _ in self._of(at, "of" if belonging else "of_anchor" if behind else "in"):
             for stop, room in self._rooms(end):
                 yield stop, room, room
-        if last is not None:
-            for end, _, _ in self._of(at, "there" if belonging or behind else "place"):
+        if last is not None and (belonging or behind):
+            for end, _, _ in self._of(at, "there"):
                 yield end, last, last
 
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
@@ -258,6 +258,10 @@ class PhraseReader:
                     stop, last, belonging=qualifier is None, behind=qualifier is not None
                 ):
                     yield after, Phrase(label, qualifier, room), named
+            for stop, room, named in self._where(end, last, belonging=True) if self.book.room_first else ():
+                for after, qualifier in self._qualified(stop, lying=self.book.lying) if stop > end else ():
+                    if qualifier is not None:
+                        yield after, Phrase(label, qualifier, room), named
             for stop, bearing, _ in self._of(end, "bearing_stop"):
                 # It is where the agent starts; "there" would be ambiguous after it.
                 yield stop, Phrase(label, (bearing, ()), None), None
@@ -284,10 +288,6 @@ class PhraseReader:
                     for stop, label in self._agreeing(after, "noun", classes):
                         for place, qualifier in self._qualified(stop):
                             yield place, Phrase(label, qualifier, room), room
-        for end, _, _ in self._of(at, "place") if self.book.room_first and last is not None else ():
-            for after, _, classes in self._of(end, slot):
-                for stop, label in self._agreeing(after, "noun", classes):
-                    yield stop, Phrase(label, None, last), last
 
     def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse what follows "check" in "check the bedroom for a lamp near the bed". Yield (end, claim, room named
@@ -317,6 +317,19 @@ class PhraseReader:
                     yield stop, Phrase(label, qualifier, room, True), room
                 for stop, bearing, _ in self._of(verb, "bearing"):
                     yield stop, Phrase(label, (bearing, ()), room, True), room
+
+    def _looked_at(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
+        """Parse what follows "look at": an object that is known to exist. The answer says the relation."""
+        for end, label in self._definite(at, "noun"):
+            for after, room, named in self._where(end, last, belonging=True):
+                yield after, Phrase(label, None, room, True), named
+        for after, label, room in self._in_its_room(at):
+            yield after, Phrase(label, None, room, True), room
+
+    def _relations(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
+        """Parse a relation or an egocentric direction behind a verb."""
+        yield from self._related(at)
+        yield from ((end, (bearing, ())) for end, bearing, _ in self._of(at, "bearing"))
 
     def _known_in(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse claims such as ", in the bedroom that has the desk, the lamp is near the bed". The verb is one of the
@@ -349,6 +362,8 @@ class PhraseReader:
                     yield stop, what, named
         for end, _, _ in self._of(at, "check"):
             yield from self._checked(end)
+        for end, _, _ in self._of(at, "look_at"):
+            yield from self._looked_at(end, last)
         yield from self._some("look", at, last)
         questions = [*self._some("is_there", at, last)]
         questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]

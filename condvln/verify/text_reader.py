@@ -199,15 +199,17 @@ class _Reader(PhraseReader):
         for slot, answer, kind in _ANSWERS:
             for end, _, _ in self._of(state.at, slot):
                 for place, ask in enumerate(state.asks):
-                    if kind is not None and state.named[ask.condition].known != kind:
-                        continue
-                    cases = ask.context & (_HOLDS[ask.condition] if answer else ~_HOLDS[ask.condition])
-                    early = state.early or place != len(state.asks) - 1
-                    guard = _HOLDS[ask.condition] if answer else _ALWAYS & ~_HOLDS[ask.condition]
-                    asks = (*state.asks[:place], ask._replace(answer=guard), *state.asks[place + 1 :])
-                    opened = (*(other for other in state.open if other != place), place)
-                    answered = state._replace(at=end, early=early, asks=asks, open=opened)
-                    yield from self._but(answered, cases, base)
+                    if kind is None or state.named[ask.condition].known == kind:
+                        yield from self._consequences(state._replace(at=end), place, answer, base)
+        for slot, answer in (("it_is", True), ("it_is_not", False)):
+            for end, _, _ in self._of(state.at, slot):
+                for stop, qualifier in self._relations(end):
+                    for place, ask in enumerate(state.asks):
+                        what = state.named[ask.condition]
+                        if what.known and what.qualifier is None:
+                            whole = what._replace(qualifier=qualifier)
+                            named = (*state.named[: ask.condition], whole, *state.named[ask.condition + 1 :])
+                            yield from self._consequences(state._replace(at=stop, named=named), place, answer, base)
         for slot, count in (("neither", (2,)), ("none", (2, 3))):
             for end, _, _ in self._of(state.at, slot):
                 guards = [ask.guard for ask in state.asks if ask.guard is not None]
@@ -216,6 +218,17 @@ class _Reader(PhraseReader):
                     for guard in guards:
                         cases &= ~guard
                     yield from self._but(state._replace(at=end), cases, base)
+
+    def _consequences(self, state: _State, place: int, answer: bool, base: int) -> Iterator[tuple[_State, int]]:
+        """Parse the consequences of an answer to the question or "if" at index `place`."""
+        ask = state.asks[place]
+        guard = _HOLDS[ask.condition] if answer else _ALWAYS & ~_HOLDS[ask.condition]
+        answered = state._replace(
+            early=state.early or place != len(state.asks) - 1,
+            asks=(*state.asks[:place], ask._replace(answer=guard), *state.asks[place + 1 :]),
+            open=(*(other for other in state.open if other != place), place),
+        )
+        yield from self._but(answered, ask.context & guard, base)
 
     def _but(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """Parse what follows an answer or a claim: the consequences, or one more claim and then the consequences, as in
@@ -255,8 +268,7 @@ class _Reader(PhraseReader):
         if known:
             yield from ((k, state.named) for k in known)
             return
-        if self.book.restates_noun:
-            yield from ((k, state.named) for k, one in enumerate(state.named) if _by_noun(what, one))
+        yield from ((k, state.named) for k, one in enumerate(state.named) if _by_noun(what, one))
         if len(state.named) < MAX_CONDITIONS:
             if what.known and what.room is None and state.asks:
                 what = what._replace(room=state.named[state.asks[-1].condition].room)
@@ -308,10 +320,12 @@ def _placed(state: _State) -> list[tuple[int, Moves]]:
 
 
 def _table(state: _State) -> tuple[Moves, ...] | None:
-    """Return the moves for each case, i.e. for each combination of the conditions' truths; None if some case gets no
-    moves, or gets moves twice.
+    """Return the moves for each case, i.e. for each combination of the conditions' truths. Return None if some case
+    gets no moves, or gets moves twice, or if a condition decides nothing: its question would have no answer.
     """
     covered = 0
+    if any(phrase.known and phrase.qualifier is None for phrase in state.named):
+        return None
     rules = _placed(state)
     for cases, _ in state.rules:
         if not cases or covered & cases:
@@ -319,4 +333,7 @@ def _table(state: _State) -> tuple[Moves, ...] | None:
         covered |= cases
     if covered != _ALWAYS:
         return None
-    return tuple(next(moves for cases, moves in rules if cases >> case & 1) for case in range(1 << len(state.named)))
+    table = tuple(next(moves for cases, moves in rules if cases >> case & 1) for case in range(1 << len(state.named)))
+    conditions = range(len(state.named))
+    decides = all(any(moves is not table[case ^ 1 << k] for case, moves in enumerate(table)) for k in conditions)
+    return table if decides else None

@@ -37,7 +37,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 20
+    version: int = 21
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 

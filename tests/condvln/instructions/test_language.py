@@ -68,7 +68,7 @@ def test_contractions_can_be_undone(words: Language) -> None:
     for phrases in [*words.slots.values(), *words.predicates.values()]:
         for phrase in phrases:
             for noun in words.nouns.values():
-                text = f"{phrase.format(a='', lo='', cercano='')} {words.definite(noun)}"
+                text = f"{phrase.format(a='', lo='', cercano='', ninguno='')} {words.definite(noun)}"
                 assert words.expanded(words.contracted(text)) == words.expanded(text)
 
 

@@ -233,8 +233,7 @@ def test_a_relation_asked_again_needs_no_room() -> None:
     reading = parse(text)
     assert reading.conditions[0] == Phrase("lamp", ("near", ("bed",)), Place("bedroom"))
     assert parse(text.replace(" near the bed", "")).conditions[0] == Phrase("lamp", None, Place("bedroom"))
-    with pytest.raises(FormatError, match="names one condition as"):
-        parse(text.replace("no lamp near the bed", "no lamp"))
+    assert parse(text.replace("no lamp near the bed", "no lamp")) == reading
     with pytest.raises(FormatError, match="names one condition as"):
         parse(text.replace("no lamp near the bed", "no lamp near the desk"))
 
@@ -378,12 +377,13 @@ def nested_chain(conditions: tuple[Condition, ...], leaves: list[tuple[ObjectRef
 
 
 def test_a_thing_named_with_its_room_is_known_from_then_on() -> None:
+    """Where a question named it: a listener does not look for the room of a stop in a branch that was not taken."""
     near = Qualifier(predicate="near", anchors=(Anchor(object_id="f", label="sofa"),))
     sofa = ObjectRef(object_id="f", label="sofa", room=LIVING)
     plant = ObjectRef(object_id="p", label="plant", room=LIVING, qualifier=near)
     cup, fork = (ObjectRef(object_id=x, label=x, room=KITCHEN) for x in ("cup", "fork"))
     conditions = (
-        Condition(label="vase", room=LIVING, truth=False),
+        Condition(label="vase", room=LIVING, qualifier=near, truth=False),
         Condition(label="sink", room=KITCHEN, truth=False),
         Condition(label="stove", room=KITCHEN, truth=False),
     )
@@ -393,7 +393,7 @@ def test_a_thing_named_with_its_room_is_known_from_then_on() -> None:
         assert parse(text) == reading_of(program), text
         assert len(re.findall("living room (?:for|sofa)|(?:sofa|vase) in the living room", text)) == 2, text
         assert re.search(r"(?:to|to the) plant (?:near|close to) the sofa(?:,| and)", text), text
-        assert "But if there's no vase, " in text or " If there's no vase, " in text, text
+        assert re.search(r" if there's no vase (?:near|close to) the sofa, ", text.lower()), text
     with pytest.raises(FormatError, match="2 rooms could be meant"):
         parse(
             "If there's a lamp in the kitchen, go to the sink in the kitchen, then to the sink in the bathroom. "
@@ -401,22 +401,27 @@ def test_a_thing_named_with_its_room_is_known_from_then_on() -> None:
         )
 
 
-def test_a_room_named_by_a_thing_is_that_room_in_all_branches() -> None:
+def test_a_room_named_by_a_thing_is_that_room_only_where_a_listener_has_heard_of_it() -> None:
     box, toy, bed, bat = (ObjectRef(object_id=x, label=x, room=ROOM) for x in ("box", "toy", "pillow", "baseball bat"))
+    """ "That bedroom" behind a bedroom of another branch sends a listener back to a case that was not taken."""
     conditions = (
         Condition(label="vase", room=LIVING, truth=False),
         Condition(label="sink", room=KITCHEN, truth=False),
         Condition(label="stove", room=KITCHEN, truth=False),
     )
     program = nested_chain(conditions, [(box,), (toy,), (bed,), (bat,)])
+    asked = nested_chain((LAMP, *conditions[1:]), [(box,), (toy,), (bed,), (bat,)])
     for code, full, short in (
         ("en", "the bedroom with the piano", "that bedroom"),
         ("es", "dormitorio donde está el piano", "ese dormitorio"),
     ):
         for seed in range(20):
             text = render(program, seed, "x", code)
-            assert (text.count(full), text.count(short)) == (1, 3), text
+            assert (text.count(full), text.count(short)) == (4, 0), text
             assert parse(text, code) == reading_of(program)
+            text = render(asked, seed, "x", code)
+            assert (text.count(full), text.count(short)) == (1, 4), text
+            assert parse(text, code) == reading_of(asked)
     with pytest.raises(FormatError, match="0 rooms could be meant"):
         parse("If there's a lamp in the kitchen, go to the bed in that bedroom. If not, go to the sink in the kitchen.")
 
@@ -433,7 +438,8 @@ def test_what_was_asked_about_a_room_is_not_placed_in_it_after_stops_elsewhere()
     cup, fork, knife, spoon = (ObjectRef(object_id=x, label=x, room=KITCHEN) for x in ("cup", "fork", "knife", "spoon"))
     program = nested_chain(conditions, [(cup,), (fork,), (knife,), (spoon,)])
     for seed in range(40):
-        assert "the plant in the living room is east of the TV" in render(program, seed, "x")
+        asked = r"the plant in the living room(?: is|\. if it's) east of the tv"
+        assert re.search(asked, render(program, seed, "x").lower())
 
 
 def test_no_text_asks_first_for_what_is_not_there(texts, code: str) -> None:

@@ -41,6 +41,7 @@ def negate_a_clause(files: Files, rng: np.random.Generator, world: World) -> boo
         ("if there is a ", "if there is no "),
         ("if there's a ", "if there's no "),
         (" is near ", " isn't near "),
+        (" it's near ", " it isn't near "),
         (" has a ", " has no "),
     ):
         if affirmed in text:

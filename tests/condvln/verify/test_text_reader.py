@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from itertools import product
 
@@ -14,6 +15,7 @@ from condvln.verify.phrasebook import phrasebook
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from condvln.verify.words import words
+from schemas.errors import FormatError
 from schemas.program import (
     CATEGORIES,
     SHAPES,
@@ -84,7 +86,8 @@ def test_a_relation_named_again_needs_no_room() -> None:
     reading = read(text)
     assert reading.conditions[0] == Phrase("lamp", ("near", ("bed",)), BEDROOM)
     assert len(reading.conditions) == 3
-    for other in ("no lamp near the desk", "no lamp", "no bed near the lamp"):
+    assert read(text.replace("no lamp near the bed", "no lamp")) == reading
+    for other in ("no lamp near the desk", "no bed near the lamp"):
         with pytest.raises(Unreadable):
             read(text.replace("no lamp near the bed", other))
 
@@ -101,6 +104,50 @@ def test_a_definite_thing() -> None:
     )
     assert reading.conditions == (Phrase("lamp", ("near", ("bed",)), KITCHEN, known=True),)
     assert reading.moves[1] == (SOFA,)
+
+
+@pytest.mark.parametrize("code", ["en", "es"])
+def test_an_answer_can_say_the_relation_of_a_thing_that_is_looked_at(code: str) -> None:
+    text = {
+        "en": "Look at the lamp in the kitchen. If it's near the bed, go to the sofa there. If not, go to the bed "
+        "there.",
+        "es": "Fíjate en la lámpara de la cocina. Si está cerca de la cama, ve al sofá de la cocina. Si no, ve a la "
+        "cama de la cocina.",
+    }[code]
+    reading = read(text, code)
+    assert reading.conditions == (Phrase("lamp", ("near", ("bed",)), KITCHEN, known=True),)
+    assert reading.moves[1] == (SOFA,)
+    assert parse(text, code).conditions[0].qualifier == ("near", ("bed",))
+    other = text.replace("If not", "If it isn't near the desk").replace("Si no", "Si no está cerca del sofá")
+    for wrong in (re.sub(r" near the bed| cerca de la cama", "", text), other):
+        with pytest.raises(Unreadable):
+            read(wrong, code)
+        with pytest.raises(FormatError):
+            parse(wrong, code)
+
+
+def test_a_condition_that_decides_nothing_is_none() -> None:
+    """ "There's no lamp" is about the lamp that was asked for, not another one whose question stays open."""
+    reading = read(
+        "Look for a lamp near the bed in the kitchen. If there's no lamp, go to the sofa there. If there is one, go to "
+        "the bed there."
+    )
+    assert reading.conditions == (Phrase("lamp", ("near", ("bed",)), KITCHEN),)
+
+
+def test_a_room_before_the_relation_of_a_stop() -> None:
+    text = (
+        "Si en la cocina hay una lámpara, ve al sofá de la cocina que está cerca de la cama. Si no, ve a la cama de la "
+        "cocina más cercana al sofá."
+    )
+    stops = [stop for moves in read(text, "es").moves for stop in moves]
+    assert {(stop.label, stop.qualifier, stop.room) for stop in stops} == {
+        ("sofa", ("near", ("bed",)), KITCHEN),
+        ("bed", ("closest to", ("sofa",)), KITCHEN),
+    }
+    assert {(stop.label, stop.qualifier) for leaf in parse(text, "es").leaves for stop in leaf} == {
+        (stop.label, stop.qualifier) for stop in stops
+    }
 
 
 TREES = {
@@ -151,7 +198,7 @@ def test_trees(pattern: str) -> None:
     [
         ("If A, see if B: if so, x; if not, y. If not, z.", "2 readings"),  # the last "if not" may be B's
         ("If A, x. If B, y. Otherwise, z.", "no reading"),  # both may hold
-        ("If A, see if B: if so, x; if not, y.", "question before it"),  # nothing is said for want of A
+        ("If A, see if B: if so, x; if not, y.", "no reading"),  # nothing is said for want of A
         ("If A, x.", "no reading"),
         ("See if A. If so, x. If so, y.", "no reading"),
         ("If A, x. Otherwise, y. Otherwise, z.", "no reading"),
