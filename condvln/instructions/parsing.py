@@ -312,10 +312,10 @@ class _TreeReader:
             if answers:
                 (subtree,) = _subtrees(subtree)
                 if subtree.data in ("is_it", "is_it_not"):
-                    before, relation = conditions[slot.index], self._stop(subtree).qualifier
-                    if not before.definite or before.qualifier is not None:
-                        raise FormatError(f"the answer to {before} does not fit the question")
-                    conditions[slot.index] = replace(before, qualifier=relation)
+                    asked, relation = conditions[slot.index], self._stop(subtree).qualifier
+                    if not asked.definite or asked.qualifier is not None:
+                        raise FormatError(f"the answer to {asked} does not fit the question")
+                    conditions[slot.index] = replace(asked, qualifier=relation)
                     self._know(conditions[slot.index], definite=True)
                     continue
                 if subtree.data in ANSWERS:
