@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import hashlib
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["Draws", "generator", "stable_hash"]
 
@@ -40,13 +41,38 @@ class Draws:
 
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator = generator
-        self._block: list[float] = []
+        self._stream = np.empty(0)
+        self._block: list[float] = []  # the unread part of the stream, read from its end as well
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
         if not self._block:
-            self._block = self._generator.random(BLOCK).tolist()
+            self._stream = self._generator.random(BLOCK)
+            self._block = self._stream.tolist()
         return self._block.pop()
+
+    def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], T]) -> T:
+        """Return what `kernel` returns, which draws as this class does, from a stream (see
+        ``condvln.instructions.kernels.stream``). The kernel is called again with a longer stream as long as it asks for
+        more uniforms than there are.
+        """
+        more = BLOCK
+        if not self._block:
+            self._longer(more)
+        while True:
+            left = np.array([len(self._block), 0])
+            found = kernel(self._stream, left)
+            if not left[1]:
+                del self._block[left[0] :]
+                return found
+            self._longer(more)
+            more *= 2
+
+    def _longer(self, count: int) -> None:
+        """Add `count` or more uniforms to the stream, to be read after those that are left in it."""
+        blocks = [self._generator.random(BLOCK) for _ in range(-(-count // BLOCK))]
+        self._stream = np.concatenate([*reversed(blocks), self._stream[: len(self._block)]])
+        self._block = self._stream.tolist()
 
     def index(self, n: int) -> int:
         """Return a random index below `n`. All indices are equally likely, except for a negligible bias of n · 2⁻⁵³."""

@@ -21,6 +21,8 @@ KERNEL_MODULES: Final = {
     "alignment": "condvln.evaluation.kernels.alignment",
     "an agent's map": "condvln.evaluation.kernels.floor_grid",
     "line of sight among boxes": "condvln.navigation.occluders",
+    "stops of programs": "condvln.instructions.kernels.stops",
+    "conditions of programs": "condvln.instructions.kernels.conditions",
     "ways of episodes": "condvln.episodes.routes",
     "starts of episodes": "condvln.episodes.starts",
     "json scan": "condvln.formats.json_scan",

@@ -8,50 +8,26 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise, product
+from functools import cached_property
+from itertools import accumulate, pairwise, product
 
-from condvln.instructions.conditions import ConditionPool, Form, PresencePool, Question, RelationPool
-from condvln.instructions.degeneracy import Claim, Presupposed, clash
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.instructions.conditions import ConditionPool
+from condvln.instructions.degeneracy import Claim, Presupposed
+from condvln.instructions.kernels.conditions import RULES, draw_conditions, rules_of_places
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
 from condvln.instructions.rejection import GivenUp
+from condvln.instructions.statement_tables import AskedRoom, Groups, NumberedStatements
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
-from schemas.program import BEARINGS, Condition, ObjectRef, Program, RoomRef
+from schemas.program import Condition, ObjectRef, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
-
-Statements = PresencePool | RelationPool
-Groups = tuple[tuple[tuple[Form, ...], float], ...]
-"""Forms of statements by the group of their predicate, and the group's weight."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Asked:
-    """A condition, in which the room has one of its possible names, and the claim that the condition makes."""
-
-    condition: Condition
-    claim: Claim
-
-
-@dataclass(frozen=True, eq=False)
-class _Room:
-    referents: Referents
-    pool: ConditionPool
-    groups: Groups
-    bearings: bool = False
-
-    def here(self, start: bool) -> Groups:
-        """Return the groups of forms that conditions may use, with weights; egocentric predicates only if `start`,
-        which says that this is the room of the start.
-        """
-        if start or not self.bearings:
-            return self.groups
-        rest = [(forms, weight) for forms, weight in self.groups if forms[0][0] not in BEARINGS]
-        return tuple(rest if any(weight for _, weight in rest) else [(forms, 1.0) for forms, _ in rest])
 
 
 class ConditionSampler:
@@ -77,17 +53,20 @@ class ConditionSampler:
         single_room: bool,
     ) -> None:
         self._sampling, self._vocabulary = sampling, vocabulary
-        self._label_only = sampling.label_only(single_room)
-        parts = {name: self._room(referents, pool) for name, (referents, pool) in sorted(rooms.items())}
+        label_only = sampling.label_only(single_room)
+        parts = {
+            name: AskedRoom(referents, pool, self._groups(pool), label_only)
+            for name, (referents, pool) in sorted(rooms.items())
+        }
         self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
         self.start_rooms = tuple(name for name, part in self._rooms.items() if part.bearings)
         self.rooms = tuple(self._rooms)
         self.clashes: Counter[str] = Counter()
-        self._made: dict[tuple[RoomRef, Question], Condition] = {}
-        self._asked: dict[tuple[RoomRef, int], dict[tuple[bool, int], _Asked]] = {}
+        self._made: dict[tuple[RoomRef, int, bool, int], Condition] = {}
 
-    def _room(self, referents: Referents, pool: ConditionPool) -> _Room:
-        return _Room(referents, pool, self._groups(pool), any(form[0] in BEARINGS for form in pool.relations))
+    @cached_property
+    def _numbered(self) -> NumberedStatements:
+        return NumberedStatements(self._rooms, self._vocabulary)
 
     def _groups(self, pool: ConditionPool) -> Groups:
         weights = self._sampling.predicates
@@ -124,21 +103,40 @@ class ConditionSampler:
         rooms = [room for room in names if room in self._rooms]
         # "If, in the bedroom that has the desk, the lamp …" is hard to follow: rooms with a plain name are preferred.
         weights = [PLAIN_ROOM_WEIGHT if names[room].anchor_label is None else 1.0 for room in rooms]
-        given = Presupposed.by(stops)
-        asked: list[Condition] = []
-        for truth in truths:
-            claims = [Claim.of(condition) for condition in asked]
-            for _ in range(self._sampling.attempts if rooms else 0):
-                room = draws.weighted(rooms, weights)
-                free = bearings > sum(condition.is_bearing for condition in asked)
-                statements = self._statements(room, draws, room == start_room and free)
-                pair = statements and self._pair(names[room], statements, claims, given, draws)
-                if pair:
-                    asked.append(pair[truth])
-                    break
-            else:
-                raise GivenUp("no_condition")
-        return tuple(asked)
+        if truths and not rooms:
+            raise GivenUp("no_condition")
+        numbered = self._numbered
+        given = numbered.given(Presupposed.by(stops))
+        wanted, sums = np.array(truths, dtype=bool), np.array(tuple(accumulate(weights)), dtype=np.float64)
+        asked_about = numbered.rooms([names[room] for room in rooms])
+        start = -1 if start_room is None else numbered.room(start_room)
+
+        def draw(stream: NDArray[np.float64], left: NDArray[np.int64]) -> tuple[bool, list[list[int]], list[int]]:
+            drawn, clashes = np.zeros((len(truths), 3), np.int64), np.zeros(len(RULES), np.int64)
+            found = draw_conditions(
+                wanted,
+                asked_about,
+                sums,
+                start,
+                bearings,
+                self._sampling.attempts,
+                given,
+                numbered.tables,
+                stream,
+                left,
+                clashes,
+                drawn,
+            )
+            return found, drawn.tolist(), clashes.tolist()
+
+        found, drawn, clashes = draws.compiled(draw)
+        self.clashes.update({rule: count for rule, count in zip(RULES, clashes, strict=True) if count})
+        if not found:
+            raise GivenUp("no_condition")
+        return tuple(
+            self._condition(names[rooms[room]], pool, truth, place)
+            for truth, (room, pool, place) in zip(truths, drawn, strict=True)
+        )
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
         """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is
@@ -157,69 +155,32 @@ class ConditionSampler:
         statements = part.pool.presence if form is None else part.pool.relations.get(form)
         if statements is None:
             return None
-        # The same weights as for drawn conditions, so that a twin's words predict its truth no better than theirs.
-        sums = statements.sums[truth]
-        weights = [sums[0], *(after - before for before, after in pairwise(sums))]
-        made = [self._condition(old.room, statements.question(truth, k)) for k in range(len(sums))]
-        sound = [
-            (condition, weight)
-            for condition, weight in zip(made, weights, strict=True)
-            if clash(Claim.of(condition), claims, given, self._vocabulary) is None
-        ]
+        numbered = self._numbered
+        number = next(k for k, pool in enumerate(numbered.pools) if pool is statements)
+        first, room = numbered.first(number, truth), numbered.room(old.room.room_id)
+        others, room_anchor = numbered.claims(claims), numbered.label(old.room.anchor_label)
+        said, label = numbered.given(given), numbered.label(old.label)
+        rules = rules_of_places(others, room, room_anchor, number, int(truth), said, numbered.tables)
+        labels = numbered.tables.labels[first : first + len(rules)]
+        sound = rules < 0
         if old.is_bearing:
             # From one start pose an object can't both be in a direction and not.
-            sound = [(condition, weight) for condition, weight in sound if condition.label != old.label]
-        alike = [(condition, weight) for condition, weight in sound if condition.label == old.label]
-        return draws.weighted(*zip(*(alike or sound), strict=True)) if sound else None
-
-    def _pair(
-        self, room: RoomRef, statements: Statements, claims: Sequence[Claim], given: Presupposed, draws: Draws
-    ) -> dict[bool, Condition] | None:
-        """Return two usable conditions of one form, by truth: a true one and a false one. Return None if there is no
-        such pair.
-        """
-        # Pools live as long as this sampler, so their ids are valid cache keys.
-        asked = self._asked.setdefault((room, id(statements)), {})
-        found: dict[bool, Condition] = {}
-        for truth in (True, False):
-            sums = statements.sums[truth]
-            for _ in range(self._sampling.attempts):
-                place = draws.cumulative(sums)
-                one = asked.get((truth, place))
-                if one is None:
-                    condition = self._condition(room, statements.question(truth, place))
-                    one = _Asked(condition, Claim.of(condition))
-                    asked[truth, place] = one
-                rule = clash(one.claim, claims, given, self._vocabulary)
-                if rule is None:
-                    found[truth] = one.condition
-                    break
-                self.clashes[rule] += 1
-            else:
-                return None
-        return found
-
-    def _statements(self, room: str, draws: Draws, start: bool) -> Statements | None:
-        """Draw a kind of condition and a form for a room, and return their statements; None if there are none.
-
-        start : the room is the start room; only then are egocentric statements possible
-        """
-        part = self._rooms[room]
-        groups = part.here(start)
-        presence = part.pool.presence
-        if presence is not None:
-            # If a room has few statements whose truth varies, it is rarely used.
-            share = self._label_only * min(1.0, *(sums[-1] for sums in presence.sums.values()))
-            if draws.uniform() < share or not groups:
-                return presence
-        if not groups:
+            sound &= labels != label
+        alike = sound & (labels == label)
+        places = np.flatnonzero(alike if alike.any() else sound).tolist()
+        if not places:
             return None
-        forms = draws.weighted(groups, [weight for _, weight in groups])[0]
-        return part.pool.relations[draws.weighted(forms, [part.pool.relations[form].mass for form in forms])]
+        # The same weights as for drawn conditions, so that a twin's words predict its truth no better than theirs.
+        sums = [float(value) for value in statements.sums[truth]]
+        weights = [sums[0], *(after - before for before, after in pairwise(sums))]
+        place = draws.weighted(places, [weights[k] for k in places])
+        return self._condition(old.room, number, truth, first + place)
 
-    def _condition(self, room: RoomRef, question: Question) -> Condition:
-        key = (room, question)
+    def _condition(self, room: RoomRef, pool: int, truth: bool, place: int) -> Condition:
+        """Return the condition that states what is at `place` of a pool (see `NumberedStatements`)."""
+        key = (room, pool, truth, place)
         if key not in self._made:
+            question = self._numbered.pools[pool].question(truth, place - self._numbered.first(pool, truth))
             qualifier = None
             if question.predicate is not None:
                 arrays = self._rooms[room.room_id].referents.arrays

@@ -55,20 +55,20 @@ class Question:
 class RelationPool:
     """The statements of one form about one room: with one predicate, and all definite or all indefinite.
 
-    cells[truth] : (row, column) of the statements' tables; sums[truth] : their cumulative weights
+    cells[truth] (c, 2) : row and column of each statement in the tables; sums[truth] (c,) : cumulative weights
     mass : geometric mean of the total weights of true and of false statements
     """
 
     truths: StatementTruths
     definite: bool
     object_ids: tuple[str, ...]
-    cells: Mapping[bool, tuple[tuple[int, int], ...]]
-    sums: Mapping[bool, tuple[float, ...]]
+    cells: Mapping[bool, NDArray[np.intp]]
+    sums: Mapping[bool, F64]
     mass: float
 
     def question(self, truth: bool, cell: int) -> Question:
         """Return the statement with index `cell` among the statements with this `truth`."""
-        row, column = self.cells[truth][cell]
+        row, column = self.cells[truth][cell].tolist()
         witnesses = np.flatnonzero(self.truths.exact[row] & self.truths.held[:, column]) if truth else ()
         return Question(
             label=self.truths.labels[row],
@@ -202,13 +202,12 @@ def _pools_of(
 def _relation_pool(
     referents: Referents, truths: StatementTruths, weights: Mapping[bool, F64], *, definite: bool
 ) -> RelationPool:
-    cells = {truth: np.argwhere(table > 0.0) for truth, table in weights.items()}
     return RelationPool(
         truths=truths,
         definite=definite,
         object_ids=referents.arrays.object_ids,
-        cells={truth: tuple((int(r), int(c)) for r, c in found) for truth, found in cells.items()},
-        sums={truth: tuple(np.cumsum(table[table > 0.0]).tolist()) for truth, table in weights.items()},
+        cells={truth: np.argwhere(table > 0.0) for truth, table in weights.items()},
+        sums={truth: np.cumsum(table[table > 0.0]) for truth, table in weights.items()},
         mass=float(min(weights[True].sum(), weights[False].sum())),
     )
 
@@ -225,8 +224,8 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, Relatio
         return {}
     exact = np.array([[x == label for x in own] for label in labels], dtype=bool)
     any_of_them = np.ones((len(labels), 1), dtype=bool)
-    cells = tuple((row, 0) for row in range(len(labels)))
-    sums = tuple(float(k + 1) for k in range(len(labels)))
+    cells = np.stack([np.arange(len(labels)), np.zeros(len(labels), np.intp)], axis=1)
+    sums = np.arange(1.0, len(labels) + 1.0)
     return {
         (bearing, True): RelationPool(
             truths=StatementTruths(

@@ -11,9 +11,8 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import accumulate
-from operator import or_
 from typing import Final
 
 from condvln.instructions.borders import NO_BORDER, borders
@@ -27,13 +26,14 @@ from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
 from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
-from condvln.instructions.stops import Stops, Target, TargetPool, targets
+from condvln.instructions.stop_sampler import DrawnStops, StopSampler
+from condvln.instructions.stops import Stops, Target, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
-from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
+from schemas.config.constants import PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, Qualifier, RoomRef, asked_in
 
@@ -47,9 +47,6 @@ impossible.
 VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
 
-SEARCHED: Final = 500
-"""Number of targets searched to find out whether a program fits, after which it counts as fitting."""
-
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
@@ -60,15 +57,10 @@ class _Shape:
     gold : index of the leaf to which the truths of the candidate's conditions lead
     """
 
-    composition: str | None
+    composition: Composition | None
     moves: tuple[int, ...]
     bearings: bool
     gold: int
-
-    @property
-    def waypoints(self) -> int:
-        """Return the number of waypoints of the longest leaf."""
-        return max(self.moves) - 1
 
 
 class ProgramSampler:
@@ -127,11 +119,15 @@ class ProgramSampler:
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), words)
-        self.targets = targets(self.referents, self._names, stops, sampling, words)
         pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
         self.condition_sampler = ConditionSampler(pools, sampling, words, single_room=scene.single_room)
+        self.stop_sampler = StopSampler(
+            targets(self.referents, self._names, stops, sampling, words),
+            {room_id: self.referents[room_id].room.label for room_id in sorted(self._names)},
+            [room_id for room_id in self._names if self._is_plain(room_id)],
+            self.condition_sampler.rooms,
+        )
         self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
-        self._fitting: dict[tuple[int, int, int, int], bool] = {}
 
     def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
         referents = self.referents[room_id]
@@ -142,46 +138,16 @@ class ProgramSampler:
         return ConditionPool.of(referents, bits, elsewhere, self.words, asked_in(self.scene.family) & self._sayable)
 
     @cached_property
-    def _held(self) -> dict[str, int]:
-        """The positions of each nameable room's targets, as the set bits of one integer."""
-        held = dict.fromkeys(sorted(self._names), 0)
-        for target in self.targets:
-            held[target.room_id] |= 1 << target.position
-        return held
-
-    @cached_property
-    def _members(self) -> dict[str, int]:
-        """The positions of each label's targets, as the set bits of one integer."""
-        members: dict[str, int] = {}
-        for k, target in enumerate(self.targets):
-            members[target.label] = members.get(target.label, 0) | 1 << k
-        return dict(sorted(members.items()))
-
-    @cached_property
-    def _clear(self) -> int:
-        """The positions of the targets that have a clear name (see `Target`), as the set bits of one integer."""
-        return sum(1 << target.position for target in self.targets if target.clear)
-
-    @cached_property
-    def _waypoints(self) -> TargetPool:
-        weights = {target.label: target.weight for target in self.targets}
-        return TargetPool(self._members, weights)
-
-    @cached_property
     def label_cap(self) -> float:
         """Maximum share of leaf targets that may have the same label. If the scene has too few labels for the wanted
         share, the maximum is an equal share for each label.
         """
-        return max(self.wanted.label_cap, 1.0 / max(1, len(self._members)))
+        return max(self.wanted.label_cap, 1.0 / max(1, len(self.stop_sampler.labels)))
 
-    def _target_pool(self, category: Category, used: Counter[str]) -> TargetPool:
-        """Return the pool from which goals are drawn. A label is drawn more often the greater its weight and the less
-        it was used; a label that has reached its maximum share is left out.
-        """
+    def _most_goals(self, category: Category) -> float:
+        """Return how often a label may be a goal of candidates of a category."""
         candidates = sum(self.sampling.candidates(cell) for cell in self.wanted.cells_of(category))
-        most = max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
-        weights = {t.label: t.weight / (1 + used[t.label]) for t in self.targets if used[t.label] + 1 <= most}
-        return TargetPool(self._members, weights)
+        return max(1.0, self.label_cap * candidates * SHAPES[category].leaves)
 
     def candidates(self, category: Category) -> Iterator[Program]:
         """Yield distinct programs for all wanted cells of a category, in a seeded order."""
@@ -204,9 +170,8 @@ class ProgramSampler:
             return
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
-        pool = self._target_pool(category, used)
-        n_leaves = SHAPES[category].leaves
-        if wanted and not self._fits((1 << len(self.targets)) - 1, n_leaves):
+        n_leaves, cap = SHAPES[category].leaves, self._most_goals(category)
+        if wanted and not self.stop_sampler.fits(n_leaves):
             self.rejections[cell, "no_targets"] += 1
             return
         golds: list[int] = []
@@ -219,18 +184,33 @@ class ProgramSampler:
             golds = golds or draws.sample(range(n_leaves), n_leaves)
             # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
             shape = self._shape(cell, draws, golds.pop())
-            for _ in range(self.sampling.draws_per_candidate):
+            for stops in self._tries(cell, shape, used, cap, draws):
                 program = None
                 with self._counted(cell):
-                    program = self._worded(cell, _unseen(self._draw(category, shape, draws, pool), seen))
+                    program = self._worded(cell, _unseen(self._draw(category, shape, stops, draws), seen))
                 if program is None:
                     continue
                 seen.add(program)
                 found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
-                pool = self._target_pool(category, used)
                 yield program
                 break
+
+    def _tries(
+        self, cell: InstructionCell | None, shape: _Shape, used: Counter[str], cap: float, draws: Draws
+    ) -> Iterator[DrawnStops]:
+        """Yield rooms and stops for a candidate, again and again until there were as many draws as a candidate may
+        take. Draws of stops that fail are added to the rejections of `cell`.
+        """
+        left = self.sampling.draws_per_candidate
+        while left > 0:
+            reasons, stops = self.stop_sampler.draw(shape.composition, shape.moves, left, used, cap, draws)
+            for reason, count in reasons.items():
+                self.rejections[cell, reason] += count
+            if stops is None:
+                return
+            left -= reasons.total() + 1
+            yield stops
 
     def _worded(self, cell: InstructionCell, program: Program) -> Program:
         """Return `program` if its text has the number of words that the cell asks for; otherwise raise GivenUp."""
@@ -253,16 +233,14 @@ class ProgramSampler:
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
         order = draws.sample(cells, len(cells))
         seen: set[Program] = set()
-        pools = {cell.category: self._target_pool(cell.category, Counter()) for cells in order for cell in cells}
+        unused: Counter[str] = Counter()
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
             shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves))
-            for _ in range(self.sampling.draws_per_candidate):
+            for stops in self._tries(None, shape, unused, self._most_goals(cell.category), draws):
                 group = None
                 with self._counted(None):
-                    group = self._group(
-                        _unseen(self._draw(cell.category, shape, draws, pools[cell.category]), seen), draws
-                    )
+                    group = self._group(_unseen(self._draw(cell.category, shape, stops, draws), seen), draws)
                 if group is not None and not seen & set(group):
                     seen.update(group)
                     yield group
@@ -291,11 +269,11 @@ class ProgramSampler:
         category, wanted = cell.category, cell.composition
         if wanted is None:
             weights = self.sampling.compositions
-            kinds, plain = len(self._rooms_of_type), sum(map(self._is_plain, self._names))
+            kinds, plain = self.stop_sampler.kinds, sum(map(self._is_plain, self._names))
             # Where too few rooms have a plain name, a text over many rooms is rare: it needs "the bedroom that has …".
             two, three = (1.0 if plain >= count else 1.0 / PLAIN_ROOM_WEIGHT for count in (2, 3))
             possible: dict[Composition, tuple[bool, float]] = {
-                "C0": (bool(self._roomy(category)), weights.C0),
+                "C0": (self.stop_sampler.roomy(SHAPES[category].leaves), weights.C0),
                 "C1": (kinds > 1, weights.C1 * two),
                 "C2": (kinds > 2, weights.C2 * three),
             }
@@ -310,46 +288,8 @@ class ProgramSampler:
         shares = tuple(accumulate(self.sampling.drawn_move_shares(category)))
         return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
 
-    def _roomy(self, category: Category) -> tuple[str, ...]:
-        """Return the rooms that each have enough targets for all leaves of a program of `category`."""
-        n = SHAPES[category].leaves
-        return tuple(room for room in self.condition_sampler.rooms if self._fits(self._held[room], n))
-
-    def _fits(self, allowed: int, n: int, waypoints: int = 0, free: int | None = None) -> bool:
-        """Return whether `allowed` contains `n` targets that have different labels and are pairwise apart, and `free`
-        contains `waypoints` more such targets, also apart from the first `n`. Both are sets of targets, as bits; `free`
-        is `allowed` by default.
-        """
-        free = allowed if free is None else free
-        if n < 2 and not waypoints:
-            return n < 1 or allowed > 0
-        key = (allowed, n, waypoints, free if waypoints else 0)
-        if key not in self._fitting:
-            self._fitting[key] = self._search(allowed, free, n, waypoints, [SEARCHED])
-        return self._fitting[key]
-
-    def _search(self, allowed: int, free: int, n: int, waypoints: int, left: list[int]) -> bool:
-        """Return whether the targets that `_fits` asks for exist, by trying one target after the other. `left` holds
-        one number: how many more targets may be tried. When this number is used up, the result is True.
-        """
-        if not n:
-            return not waypoints or self._fits(free, waypoints)
-        while allowed.bit_count() >= n:
-            lowest = allowed & -allowed
-            allowed ^= lowest  # every set with this target is searched now
-            target = self.targets[lowest.bit_length() - 1]
-            left[0] -= 1
-            others = allowed & target.apart & ~self._members[target.label]
-            if left[0] < 0 or self._search(others, free & target.apart, n - 1, waypoints, left):
-                return True
-        return False
-
-    def _draw(self, category: Category, shape: _Shape, draws: Draws, pool: TargetPool) -> Program:
-        rooms = self._spread(category, shape, draws)
-        allowed = 0
-        for room_id in rooms:
-            allowed |= self._held[room_id]
-        stops = self._stops(shape, allowed, draws, pool)
+    def _draw(self, category: Category, shape: _Shape, found: DrawnStops, draws: Draws) -> Program:
+        rooms, stops = found.rooms, found.leaves
         visited = [target for moves in stops for target in moves]
         names = self._room_names(rooms, visited, draws)
         near = [room for room in self.condition_sampler.start_rooms if room in names] if shape.bearings else []
@@ -395,127 +335,9 @@ class ProgramSampler:
             leaves.append(Leaf(moves=tuple(refs)))
         return leaves, bearings
 
-    def _spread(self, category: Category, shape: _Shape, draws: Draws) -> Sequence[str]:
-        """Return the rooms for a shape, all of different types.
-
-        A listener would confuse "the bedroom with the desk" and "the bedroom with the plant", and a text with only one
-        bedroom needs no distinguishing object.
-        """
-        wanted, types = shape.composition, len(self._rooms_of_type)
-        if wanted is None or types < {"C0": 1, "C1": 2, "C2": 3}[wanted]:
-            raise GivenUp("no_targets")
-        if wanted == "C0":
-            roomy = tuple(
-                room
-                for room in self._roomy(category)
-                if self._fits(self._held[room], len(shape.moves), shape.waypoints)
-            )
-            if not roomy:
-                raise GivenUp("no_waypoint" if self._roomy(category) else "no_targets")
-            return [self._preferred(roomy, draws)]
-        return self._few(2, 2, shape, draws) if wanted == "C1" else self._few(3, MOST_ROOMS, shape, draws)
-
-    def _preferred(self, rooms: Sequence[str], draws: Draws) -> str:
-        """Return one of the `rooms`. Rooms that are named by their label alone are preferred."""
-        return draws.weighted(rooms, [PLAIN_ROOM_WEIGHT if self._is_plain(room) else 1.0 for room in rooms])
-
-    def _few(self, least: int, most: int, shape: _Shape, draws: Draws) -> list[str]:
-        """Return `least` to `most` rooms that together have targets for all stops. Conditions can be asked about
-        the first room. The others are named by their label alone if enough such rooms are left, so that a text hardly
-        ever has two rooms like "the bedroom with the piano".
-        """
-        few, n = [self._preferred(self.condition_sampler.rooms, draws)], len(shape.moves)
-        while len(few) < most:
-            left = [room for rooms in self._rooms_of_type.values() if not {*rooms} & {*few} for room in rooms]
-            plain = [room for room in left if self._is_plain(room)]
-            held = reduce(or_, (self._held[room] for room in few))
-            if not left or (not plain and len(few) >= least and self._fits(held, n, shape.waypoints)):
-                break
-            if len(few) == most - 1:
-                left = [room for room in left if self._fits(held | self._held[room], n, shape.waypoints)]
-                if not left:
-                    raise GivenUp("no_waypoint" if shape.waypoints else "no_targets")
-                plain = [room for room in left if self._is_plain(room)]
-            few.append(draws.choice(plain or left))
-        return few
-
-    @cached_property
-    def _rooms_of_type(self) -> dict[str, list[str]]:
-        """The rooms by their type."""
-        found: dict[str, list[str]] = {}
-        for room_id in self._held:
-            found.setdefault(self.referents[room_id].room.label, []).append(room_id)
-        return found
-
     def _is_plain(self, room_id: str) -> bool:
         """Return whether a room's label alone names it."""
         return self._names[room_id][0].anchor_label is None
-
-    def _stops(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[list[Target]]:
-        """Return the stops of all leaves: their goals, and waypoints before them. No word names stops in two rooms.
-        Some leaves may begin with the same stop if no other stop is left, but never all leaves.
-        """
-        goals = self._goals(shape, allowed, draws, pool)
-        for goal in goals:
-            allowed &= goal.apart
-        stops: list[list[Target]] = []
-        used = 0
-        for goal, count in zip(goals, shape.moves, strict=True):
-            moves = self._moves(goal, count, allowed, used, draws)
-            used |= 1 << moves[0].position
-            for stop in moves[:-1]:
-                allowed &= ~stop.alike
-            stops.append(moves)
-        firsts = Counter(moves[0].position for moves in stops)
-        if max(firsts.values()) > (len(stops) + 1) // 2:
-            raise GivenUp("one_first_stop")
-        return stops
-
-    def _goals(self, shape: _Shape, allowed: int, draws: Draws, pool: TargetPool) -> list[Target]:
-        """Return one goal for each leaf. The goals have different labels and are pairwise apart; rarely used labels are
-        preferred. Enough targets are left for the waypoints of the longest leaf.
-        """
-        n, waypoints = len(shape.moves), shape.waypoints
-        if not self._fits(allowed & pool.drawable, n):
-            raise GivenUp("label_over_cap" if self._fits(allowed, n) else "no_targets")
-        goals: list[Target] = []
-        free, unused = allowed, allowed & pool.drawable
-        allowed = unused
-        while len(goals) < n:
-            position = pool.draw(allowed & self._clear, draws)
-            position = pool.draw(allowed, draws) if position is None else position
-            if position is None:
-                raise GivenUp("no_waypoint" if waypoints else "no_targets")
-            goal = self.targets[position]
-            left = unused & goal.apart & ~self._members[goal.label]
-            if self._fits(left, n - len(goals) - 1, waypoints, free & goal.apart):
-                goals.append(goal)
-                allowed = unused = left
-                free &= goal.apart
-            else:
-                allowed &= ~(1 << position)
-        return goals
-
-    def _moves(self, goal: Target, count: int, allowed: int, used: int, draws: Draws) -> list[Target]:
-        """Return the stops of one leaf: first `count` - 1 waypoints among `allowed`, then `goal`. The waypoints are
-        apart from one another. The first waypoint is one of `used`, the stops with which other leaves begin, only if no
-        other target is left.
-        """
-        allowed &= ~self._members[goal.label]
-        stops: list[Target] = []
-        for _ in range(count - 1):
-            for preferred in (allowed & ~used & self._clear, allowed & ~used, allowed):
-                position = self._waypoints.draw(preferred, draws)
-                if position is not None:
-                    break
-            else:
-                raise GivenUp("no_waypoint")
-            used = 0
-            stops.append(self.targets[position])
-            allowed &= stops[-1].apart & ~self._members[stops[-1].label]
-        if len(stops) == 2 and stops[0].room_id == goal.room_id != stops[1].room_id:
-            stops.reverse()  # stops never return to a room
-        return [*stops, goal]
 
     def _room_names(self, rooms: Sequence[str], visited: Sequence[Target], draws: Draws) -> dict[str, RoomRef]:
         """Return a name of each room. No name relies on an object with the label of a stop, or with a label in another

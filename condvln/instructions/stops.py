@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +12,9 @@ from condvln.instructions.predicates import GROUP_OF
 from condvln.instructions.referents import Referents
 from condvln.labels import Vocabulary
 from condvln.scene import Scene
-from condvln.seeding import Draws
 from schemas.config import PlacesConfig, SamplingConfig
 
-__all__ = ["Stops", "Target", "TargetPool", "apart_by_centres", "targets"]
+__all__ = ["Stops", "Target", "Targets", "apart_by_centres", "targets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +34,6 @@ class Target:
     """An object that may be a stop.
 
     position : the object's index among all targets; index : its index among the objects of its room
-    apart : the targets that may be stops of the same leaf, or goals of the same program: far enough away, and not in
-        `alike`; as bits of an integer
-    alike : the targets in other rooms that the same word might name, as bits
     clear : the object has a name other than those used only if nothing else can be named ("the chair away from the
         desk")
     """
@@ -50,49 +44,21 @@ class Target:
     index: int
     label: str
     weight: float
-    apart: int
-    alike: int
     clear: bool
 
 
-class TargetPool:
-    """Draws targets: first a label by its weight, then one of its objects uniformly.
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """The objects of a scene that may be stops, in order of room and object id.
 
-    Parameters
-    ----------
-    members : per label its targets as bits
-    weights : per label; labels without one are not drawn
-
-    Attributes
-    ----------
-    drawable : all targets that may be drawn, as bits
+    apart (t, t) : two targets may be stops of the same leaf, or goals of the same program: they are far enough apart,
+        and not in `alike`
+    alike (t, t) : two targets are in different rooms, and one word might name both
     """
 
-    REJECTIONS: Final = 6
-    """Number of labels drawn without checking before the remaining ones are counted; both give the same
-    distribution.
-    """
-
-    def __init__(self, members: Mapping[str, int], weights: Mapping[str, float]) -> None:
-        self._bits = [members[label] for label in weights]
-        self._weights = list(weights.values())
-        self._sums = list(accumulate(self._weights))
-        self.drawable = 0
-        for bits in self._bits:
-            self.drawable |= bits
-
-    def draw(self, allowed: int, draws: Draws) -> int | None:
-        """Return the position of one of the `allowed` targets (bits); None if none is left."""
-        if not self._bits or not allowed:
-            return None
-        for _ in range(self.REJECTIONS):
-            found = self._bits[draws.cumulative(self._sums)] & allowed
-            if found:
-                return draws.choice(_positions(found))
-        left = [k for k, bits in enumerate(self._bits) if bits & allowed]
-        if not left:
-            return None
-        return draws.choice(_positions(self._bits[draws.weighted(left, [self._weights[k] for k in left])] & allowed))
+    targets: tuple[Target, ...]
+    apart: NDArray[np.bool_]
+    alike: NDArray[np.bool_]
 
 
 def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
@@ -112,10 +78,8 @@ def targets(
     stops: Stops,
     sampling: SamplingConfig,
     words: Vocabulary,
-) -> tuple[Target, ...]:
-    """Return the objects of the given `rooms` that text can name and that can be reached, in order of room and object
-    id.
-    """
+) -> Targets:
+    """Return the objects of the given `rooms` that text can name and that can be reached."""
     alone = len(referents) == 1
     row_of = {name: k for k, name in enumerate(stops.object_ids)}
     chosen = [
@@ -128,7 +92,7 @@ def targets(
     alike = _alike([(room_id, referents[room_id].arrays.labels[i]) for room_id, i, _ in chosen], words)
     apart = stops.apart[np.ix_(rows, rows)] & ~alike
     large = {referents[room_id].arrays.labels[i] for room_id, i, _ in chosen if not referents[room_id].small[i]}
-    return tuple(
+    found = tuple(
         Target(
             object_id=referents[room_id].arrays.object_ids[i],
             position=k,
@@ -136,38 +100,27 @@ def targets(
             index=i,
             label=referents[room_id].arrays.labels[i],
             weight=1.0 if referents[room_id].arrays.labels[i] in large else sampling.small_target_weight,
-            apart=_bits(apart[k]),
-            alike=_bits(alike[k]),
             clear=_is_clear(referents[room_id], i, sampling),
         )
         for k, (room_id, i, _) in enumerate(chosen)
     )
+    return Targets(found, apart, alike)
 
 
 def _alike(named: Sequence[tuple[str, str]], words: Vocabulary) -> NDArray[np.bool_]:
     """Return a mask (n, n) for n objects, given as (room, label): whether two of them are in different rooms and one
     word might name both.
     """
-    meant = {label: words.overlapping(label) for _, label in named}
-    found = [[room != other and label in meant[one] for other, label in named] for room, one in named]
-    return np.array(found, dtype=bool).reshape(len(named), len(named))
+    labels = {label: k for k, label in enumerate(sorted({label for _, label in named}))}
+    meant = np.array([[other in words.overlapping(one) for other in labels] for one in labels], dtype=bool)
+    meant = meant.reshape(len(labels), len(labels))
+    rooms = {room: k for k, room in enumerate(sorted({room for room, _ in named}))}
+    of_room = np.array([rooms[room] for room, _ in named], dtype=np.intp)
+    of_label = np.array([labels[label] for _, label in named], dtype=np.intp)
+    return np.asarray(meant[np.ix_(of_label, of_label)] & (of_room[:, None] != of_room))
 
 
 def _is_clear(referents: Referents, index: int, sampling: SamplingConfig) -> bool:
     """Return whether an object has a name without a predicate, or a name whose predicate has a weight above 0."""
     groups = [GROUP_OF[q.predicate] for q in referents.qualifications[index]]
     return bool(referents.unique[index]) or any(getattr(sampling.predicates, group) > 0.0 for group in groups)
-
-
-def _bits(row: NDArray[np.bool_]) -> int:
-    return int.from_bytes(np.packbits(row, bitorder="little").tobytes(), "little")
-
-
-def _positions(bits: int) -> list[int]:
-    """Return the positions of the set bits, ascending."""
-    found = []
-    while bits:
-        lowest = bits & -bits
-        found.append(lowest.bit_length() - 1)
-        bits ^= lowest
-    return found

@@ -1,0 +1,1 @@
+"""Compiled kernels of the sampler; each file calls only files of this folder."""

@@ -1,0 +1,474 @@
+"""Draw the rooms and the stops of a program. Rooms, labels and targets are numbers, sets of targets are masks."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.compiled import compiled, register_warm_up
+from condvln.instructions.kernels.stream import cumulative, index
+
+__all__ = ["FAILURES", "MOST_MOVES", "TargetTables", "draw_stops", "fits"]
+
+Doubles = npt.NDArray[np.float64]
+Longs = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+NONE: Final = -1
+"""In place of a target: there is none."""
+
+NO_TARGETS: Final = 0
+NO_WAYPOINT: Final = 1
+LABEL_OVER_CAP: Final = 2
+ONE_FIRST_STOP: Final = 3
+
+FAILURES: Final = ("no_targets", "no_waypoint", "label_over_cap", "one_first_stop")
+"""Why a draw failed, by number."""
+
+MOST_MOVES: Final = 3
+"""Most moves of a leaf."""
+
+SEARCHED: Final = 500
+"""Number of targets searched to find out whether a program fits, after which it counts as fitting."""
+
+REJECTIONS: Final = 6
+"""Number of labels drawn without checking before the remaining ones are counted; both give the same distribution."""
+
+
+class TargetTables(NamedTuple):
+    """The targets of a scene, t, their l labels, and the r rooms.
+
+    apart, alike (t, t) : see `stops.Target`
+    clear (t,) : see `stops.Target`
+    label (t,) : the label of each target
+    members (t,), spans (l, 2) : the targets by label, ascending; where a label's targets begin and end
+    order (l,) : the labels in the order in which they are drawn from, weights (l,) : their weights in this order
+    held (r, t) : the targets of each room
+    asked (a,), asked_sums (a,) : rooms about which conditions can be asked, and their running weights
+    by_type (r,), type_of (r,) : the rooms, sorted by type; the type of each room
+    plain (r,) : the room is named by its label alone
+    marks (t, 4) : random numbers, of which the digest of a set of targets is made
+    digests (m, 2), answers (m,) : answers of `fits` by digest, m a power of two; kernels write to both
+    """
+
+    apart: Bools
+    alike: Bools
+    clear: Bools
+    label: Longs
+    members: Longs
+    spans: Longs
+    order: Longs
+    weights: Doubles
+    held: Bools
+    asked: Longs
+    asked_sums: Doubles
+    by_type: Longs
+    type_of: Longs
+    plain: Bools
+    marks: Longs
+    digests: Longs
+    answers: Bools
+
+
+@compiled
+def _count(mask: Bools) -> int:
+    count = 0
+    for k in range(len(mask)):
+        count += mask[k]
+    return count
+
+
+@compiled
+def _narrow(allowed: Bools, target: int, apart: Bools, found: Bools) -> None:
+    """Set `found` to those of `allowed` that are apart from `target`."""
+    for k in range(len(allowed)):
+        found[k] = allowed[k] & apart[target, k]
+
+
+@compiled
+def _without_label(allowed: Bools, wanted: int, label: Longs) -> None:
+    """Remove the targets whose label is `wanted` from `allowed`."""
+    for k in range(len(allowed)):
+        allowed[k] &= label[k] != wanted
+
+
+@compiled
+def _search(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetTables) -> bool:
+    """Return whether `allowed` contains `n` targets that have different labels and are pairwise apart, and `free`
+    contains `waypoints` more such targets, also apart from the first `n`. One target after the other is tried; after
+    `SEARCHED` targets, of the first `n` or of the others, the result is True.
+    """
+    t, total = len(allowed), n + waypoints
+    # Row d holds the targets that may still be tried as number d, and what is free for waypoints before it is chosen.
+    masks, frees = np.empty((total, t), np.bool_), np.empty((n + 1, t), np.bool_)
+    at, left = np.zeros(total + 1, np.int64), np.full(2, SEARCHED)
+    frees[0] = free
+    if total > 0:
+        masks[0] = allowed if n > 0 else free
+    depth = 0
+    while 0 <= depth < total:
+        of_waypoints = int(depth >= n)
+        target = NONE
+        if _count(masks[depth]) >= (total if of_waypoints else n) - depth:
+            for k in range(at[depth], t):
+                if masks[depth, k]:
+                    target = k
+                    break
+        if target == NONE:
+            depth -= 1
+            continue
+        masks[depth, target] = False  # every set with this target is searched now
+        at[depth] = target + 1
+        left[of_waypoints] -= 1
+        if left[of_waypoints] < 0:
+            return True
+        depth += 1
+        at[depth] = 0
+        if depth <= n and waypoints > 0:
+            _narrow(frees[depth - 1], target, tables.apart, frees[depth])
+        if depth == n and waypoints > 0:
+            masks[depth], left[1] = frees[depth], SEARCHED
+        elif depth < total:
+            _narrow(masks[depth - 1], target, tables.apart, masks[depth])
+            _without_label(masks[depth], tables.label[target], tables.label)
+    return depth >= 0
+
+
+@compiled
+def fits(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetTables) -> bool:
+    """Return whether `allowed` has targets for `n` leaves, and `free` more for the `waypoints` of the longest one.
+
+    The answer is `_search`'s. It is kept, since draws ask again and again, until another question of the same place in
+    the table overwrites it. Two questions with the same digest of 128 bits would get the same answer.
+    """
+    if n < 2 and waypoints == 0:
+        return n < 1 or _count(allowed) > 0
+    one, other = n, waypoints
+    for k in range(len(allowed)):
+        one ^= tables.marks[k, 0] * allowed[k]
+        other ^= tables.marks[k, 1] * allowed[k]
+    if waypoints > 0:
+        for k in range(len(free)):
+            one ^= tables.marks[k, 2] * free[k]
+            other ^= tables.marks[k, 3] * free[k]
+    place = one & (len(tables.answers) - 1)
+    if tables.digests[place, 0] != one or tables.digests[place, 1] != other:
+        tables.answers[place] = _search(allowed, free, n, waypoints, tables)
+        tables.digests[place, 0], tables.digests[place, 1] = one, other
+    return bool(tables.answers[place])
+
+
+@compiled
+def _draw_target(
+    allowed: Bools, sums: Doubles, labels: Longs, tables: TargetTables, stream: Doubles, left: Longs
+) -> int:
+    """Return one of the `allowed` targets, or NONE: first a label by its weight, then one of its targets uniformly.
+
+    labels, sums : (n,), the labels that may be drawn and their running weights
+    """
+    if len(labels) == 0 or _count(allowed) == 0:
+        return NONE
+    chosen = NONE
+    for _ in range(REJECTIONS):
+        one = labels[cumulative(sums, 0, len(labels), stream, left)]
+        if _has(one, allowed, tables):
+            chosen = one
+            break
+    if chosen == NONE:
+        there, weights = np.empty(len(labels), np.int64), np.empty(len(labels))
+        n, total = 0, 0.0
+        for k in range(len(labels)):
+            if _has(labels[k], allowed, tables):
+                total += sums[len(labels) + k]
+                there[n], weights[n] = labels[k], total
+                n += 1
+        if n == 0:
+            return NONE
+        chosen = there[cumulative(weights, 0, n, stream, left)]
+    begin, end = tables.spans[chosen, 0], tables.spans[chosen, 1]
+    count = 0
+    for k in range(begin, end):
+        count += allowed[tables.members[k]]
+    place = index(count, stream, left)
+    for k in range(begin, end):
+        if allowed[tables.members[k]]:
+            if place == 0:
+                return int(tables.members[k])
+            place -= 1
+    return NONE
+
+
+@compiled
+def _has(label: int, allowed: Bools, tables: TargetTables) -> bool:
+    """Return whether any of the `allowed` targets has this label."""
+    found = False
+    for k in range(tables.spans[label, 0], tables.spans[label, 1]):
+        found |= allowed[tables.members[k]]
+    return found
+
+
+@compiled
+def _few_rooms(
+    least: int,
+    most: int,
+    n: int,
+    waypoints: int,
+    tables: TargetTables,
+    rooms: Longs,
+    held: Bools,
+    stream: Doubles,
+    left: Longs,
+) -> int:
+    """Write `least` to `most` rooms of different types to `rooms`, which together have targets for all stops; return
+    their number, or NONE. `held` is set to their targets.
+
+    Conditions can be asked about the first room. The others are named by their label alone if enough such rooms are
+    left, so that a text hardly ever has two rooms like "the bedroom with the piano".
+    """
+    rooms[0] = tables.asked[cumulative(tables.asked_sums, 0, len(tables.asked), stream, left)]
+    held[:] = tables.held[rooms[0]]
+    ahead = np.empty(len(tables.by_type), np.int64)
+    count = 1
+    while count < most:
+        size = plain = 0
+        for room in tables.by_type:
+            fresh = True
+            for k in range(count):
+                fresh &= tables.type_of[rooms[k]] != tables.type_of[room]
+            if fresh:
+                ahead[size] = room
+                size += 1
+                plain += tables.plain[room]
+        if size == 0 or (plain == 0 and count >= least and fits(held, held, n, waypoints, tables)):
+            break
+        if count == most - 1:
+            kept = plain = 0
+            for k in range(size):
+                both = held | tables.held[ahead[k]]
+                if fits(both, both, n, waypoints, tables):
+                    ahead[kept] = ahead[k]
+                    kept += 1
+                    plain += tables.plain[ahead[kept - 1]]
+            if kept == 0:
+                return NONE
+            size = kept
+        if plain > 0:
+            place = index(plain, stream, left)
+            for k in range(size):
+                if tables.plain[ahead[k]]:
+                    if place == 0:
+                        rooms[count] = ahead[k]
+                        break
+                    place -= 1
+        else:
+            rooms[count] = ahead[index(size, stream, left)]
+        held |= tables.held[rooms[count]]
+        count += 1
+    return count
+
+
+@compiled
+def _draw_goals(
+    n: int,
+    waypoints: int,
+    held: Bools,
+    sums: Doubles,
+    labels: Longs,
+    drawable: Bools,
+    tables: TargetTables,
+    stream: Doubles,
+    left: Longs,
+    goals: Longs,
+) -> int:
+    """Write one goal for each of `n` leaves to `goals`. They have different labels and are pairwise apart, and enough
+    targets are left for the waypoints of the longest leaf. Return the number of a failure, or NONE.
+    """
+    unused = held & drawable
+    if not fits(unused, unused, n, 0, tables):
+        return LABEL_OVER_CAP if fits(held, held, n, 0, tables) else NO_TARGETS
+    allowed, free = unused.copy(), held.copy()
+    rest, spare = np.empty(len(held), np.bool_), np.empty(len(held), np.bool_)
+    count = 0
+    while count < n:
+        target = _draw_target(allowed & tables.clear, sums, labels, tables, stream, left)
+        if target == NONE:
+            target = _draw_target(allowed, sums, labels, tables, stream, left)
+        if target == NONE:
+            return NO_WAYPOINT if waypoints else NO_TARGETS
+        _narrow(unused, target, tables.apart, rest)
+        _without_label(rest, tables.label[target], tables.label)
+        _narrow(free, target, tables.apart, spare)
+        if fits(rest, spare, n - count - 1, waypoints, tables):
+            goals[count] = target
+            count += 1
+            unused[:], free[:] = rest, spare
+            allowed[:] = rest
+        else:
+            allowed[target] = False
+    return NONE
+
+
+@compiled
+def _draw_moves(
+    goal: int,
+    count: int,
+    allowed: Bools,
+    used: Bools,
+    room_of: Longs,
+    sums: Doubles,
+    tables: TargetTables,
+    stream: Doubles,
+    left: Longs,
+    moves: Longs,
+) -> bool:
+    """Write the stops of one leaf to `moves`: first `count` - 1 waypoints among `allowed`, then `goal`. The waypoints
+    are apart from one another. The first waypoint is one of `used`, the stops with which other leaves begin, only if no
+    other target is left. Return False if there are no such waypoints.
+    """
+    open_ = allowed.copy()
+    _without_label(open_, tables.label[goal], tables.label)
+    for k in range(count - 1):
+        fresh = open_ & ~used if k == 0 else open_.copy()
+        target = _draw_target(fresh & tables.clear, sums, tables.order, tables, stream, left)
+        if target == NONE:
+            target = _draw_target(fresh, sums, tables.order, tables, stream, left)
+        if target == NONE:
+            target = _draw_target(open_, sums, tables.order, tables, stream, left)
+        if target == NONE:
+            return False
+        moves[k] = target
+        _narrow(open_, target, tables.apart, open_)
+        _without_label(open_, tables.label[target], tables.label)
+    moves[count - 1] = goal
+    if count == 3 and room_of[moves[0]] == room_of[goal] != room_of[moves[1]]:
+        moves[0], moves[1] = moves[1], moves[0]  # stops never return to a room
+    return True
+
+
+@compiled
+def _draw_leaves(
+    counts: Longs,
+    held: Bools,
+    goals: Longs,
+    room_of: Longs,
+    sums: Doubles,
+    tables: TargetTables,
+    stream: Doubles,
+    left: Longs,
+    stops: Longs,
+) -> int:
+    """Write the stops of all leaves to `stops`. Some leaves may begin with the same stop if no other stop is left, but
+    never all leaves. Return the number of a failure, or NONE.
+    """
+    n = len(counts)
+    allowed, used = held.copy(), np.zeros(len(held), np.bool_)
+    for leaf in range(n):
+        _narrow(allowed, goals[leaf], tables.apart, allowed)
+    for leaf in range(n):
+        moves = stops[leaf]
+        if not _draw_moves(goals[leaf], counts[leaf], allowed, used, room_of, sums, tables, stream, left, moves):
+            return NO_WAYPOINT
+        used[moves[0]] = True
+        for k in range(counts[leaf] - 1):
+            for other in range(len(allowed)):
+                allowed[other] &= not tables.alike[moves[k], other]
+    for leaf in range(n):
+        alike = 0
+        for other in range(n):
+            alike += stops[leaf, 0] == stops[other, 0]
+        if alike > (n + 1) // 2:
+            return ONE_FIRST_STOP
+    return NONE
+
+
+@compiled
+def _running(weights: Doubles) -> Doubles:
+    """Return the running sums of `weights`, then `weights`: what `_draw_target` takes."""
+    n = len(weights)
+    sums, total = np.empty(2 * n), 0.0
+    for k in range(n):
+        total += weights[k]
+        sums[k], sums[n + k] = total, weights[k]
+    return sums
+
+
+@compiled
+def draw_stops(
+    tries: int,
+    counts: Longs,
+    least: int,
+    most: int,
+    roomy: Longs,
+    roomy_sums: Doubles,
+    used: Longs,
+    cap: float,
+    room_of: Longs,
+    tables: TargetTables,
+    stream: Doubles,
+    left: Longs,
+    failures: Longs,
+    rooms: Longs,
+    stops: Longs,
+) -> int:
+    """Draw rooms and the stops of all leaves until they fit, at most `tries` times. Return the number of tries that
+    failed.
+
+    Parameters
+    ----------
+    counts : (n,), number of moves of each leaf
+    least, most : numbers of rooms; if `most` is 1, the room is one of `roomy`, with these running weights
+    used : (l,), how often a label is a goal so far; a label is drawn more often the less it was used
+    cap : a label is a goal at most so often
+    failures : (4,), to which the failed tries are added by their reason
+    rooms : (1 + `most`,), set to the number of rooms and the rooms
+    stops : (n, 3), set to the targets
+    """
+    n, waypoints = len(counts), counts.max() - 1
+    labels, weights = np.empty(len(tables.order), np.int64), np.empty(len(tables.order))
+    kept = 0
+    for k in range(len(tables.order)):
+        if used[tables.order[k]] + 1 <= cap:
+            labels[kept] = tables.order[k]
+            weights[kept] = tables.weights[k] / (1 + used[tables.order[k]])
+            kept += 1
+    labels, sums, waypoint_sums = labels[:kept], _running(weights[:kept]), _running(tables.weights)
+    drawable, held = np.zeros(len(tables.label), np.bool_), np.zeros(len(tables.label), np.bool_)
+    for label in labels:
+        drawable[tables.members[tables.spans[label, 0] : tables.spans[label, 1]]] = True
+    goals = np.empty(n, np.int64)
+    for attempt in range(tries):
+        if left[1]:
+            break  # the stream has ended
+        if most == 1:
+            rooms[0], rooms[1] = 1, roomy[cumulative(roomy_sums, 0, len(roomy), stream, left)]
+            held[:] = tables.held[rooms[1]]
+        else:
+            rooms[0] = _few_rooms(least, most, n, waypoints, tables, rooms[1:], held, stream, left)
+            if rooms[0] == NONE:
+                failures[NO_WAYPOINT if waypoints else NO_TARGETS] += 1
+                continue
+        failed = _draw_goals(n, waypoints, held, sums, labels, drawable, tables, stream, left, goals)
+        if failed == NONE:
+            failed = _draw_leaves(counts, held, goals, room_of, waypoint_sums, tables, stream, left, stops)
+        if failed == NONE:
+            return attempt
+        failures[failed] += 1
+    return tries
+
+
+def _warm_up() -> None:
+    one, numbers, mask = np.ones(1), np.zeros(1, np.int64), np.ones((1, 1), bool)
+    span = np.array([[0, 1]])
+    digests = np.zeros((1, 4), np.int64), np.zeros((1, 2), np.int64), np.zeros(1, bool)
+    places = (numbers, one, numbers, numbers, mask[0])
+    tables = TargetTables(mask, mask, mask[0], numbers, numbers, span, numbers, one, mask, *places, *digests)
+    fits(mask[0], mask[0], 1, 0, tables)
+    counts, stops = np.ones(2, np.int64), np.zeros((2, MOST_MOVES), np.int64)
+    left, failures, rooms = np.array([8, 0]), np.zeros(len(FAILURES), np.int64), np.zeros(3, np.int64)
+    stream = np.zeros(8)
+    draw_stops(1, counts, 2, 2, numbers, one, numbers, 1.0, numbers, tables, stream, left, failures, rooms, stops)
+
+
+register_warm_up("stops of programs", _warm_up)

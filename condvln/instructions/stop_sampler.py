@@ -1,0 +1,179 @@
+"""Draw the rooms and the stops of a program: which objects its leaves lead to, and by which other objects."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.instructions.kernels.stops import FAILURES, MOST_MOVES, TargetTables, draw_stops, fits
+from condvln.instructions.stops import Target, Targets
+from condvln.seeding import Draws
+from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
+from schemas.episode import Composition
+
+__all__ = ["DrawnStops", "StopSampler"]
+
+I64 = NDArray[np.int64]
+
+_ROOMS_OF: dict[Composition, tuple[int, int]] = {"C0": (1, 1), "C1": (2, 2), "C2": (3, MOST_ROOMS)}
+"""Least and most rooms of a program, by its composition."""
+
+ANSWERS_KEPT: Final = 2**15
+"""Number of answers kept to the question whether targets fit; a power of two. A scene asks some thousands."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnStops:
+    """The rooms of a program, and the stops of each leaf, the last of which is its goal."""
+
+    rooms: tuple[str, ...]
+    leaves: tuple[tuple[Target, ...], ...]
+
+
+class StopSampler:
+    """Draws rooms and stops of programs of one scene.
+
+    The rooms of a program have different types: a listener would confuse "the bedroom with the desk" and "the bedroom
+    with the plant", and a text with only one bedroom needs no distinguishing object. Rooms that are named by their
+    label alone are preferred. Goals have different labels and are pairwise apart, and so are the stops of a leaf;
+    rarely used labels are preferred as goals. No word names stops in two rooms.
+
+    Parameters
+    ----------
+    types : type of each room that has a name, by room id
+    plain : ids of the rooms that are named by their label alone
+    asked : ids of the rooms about which conditions can be asked
+
+    Attributes
+    ----------
+    labels : labels of the targets
+    kinds : number of types of rooms
+    """
+
+    def __init__(self, found: Targets, types: Mapping[str, str], plain: Collection[str], asked: Sequence[str]) -> None:
+        self._targets, self._asked, self._room_ids = found.targets, tuple(asked), tuple(types)
+        numbers = {room: k for k, room in enumerate(types)}
+        kinds = {kind: k for k, kind in enumerate(dict.fromkeys(types.values()))}
+        weights = {target.label: target.weight for target in found.targets}
+        self.labels, self.kinds = tuple(weights), len(kinds)
+        self._label_numbers = {label: k for k, label in enumerate(weights)}
+        label = np.array([self._label_numbers[target.label] for target in found.targets], np.int64)
+        self._room_of = np.array([numbers[target.room_id] for target in found.targets], np.int64)
+        self._plain = np.array([room in plain for room in types], bool)
+        ends = np.cumsum(np.bincount(label, minlength=len(weights)), dtype=np.int64)
+        type_of = np.array([kinds[kind] for kind in types.values()], np.int64)
+        asked_numbers = np.array([numbers[room] for room in asked], np.int64)
+        self._tables = TargetTables(
+            apart=np.ascontiguousarray(found.apart),
+            alike=np.ascontiguousarray(found.alike),
+            clear=np.array([target.clear for target in found.targets], bool),
+            label=label,
+            members=np.argsort(label, kind="stable").astype(np.int64),
+            spans=np.stack([np.concatenate([[0], ends[:-1]])[: len(ends)], ends], axis=1).astype(np.int64),
+            order=np.arange(len(weights), dtype=np.int64),
+            weights=np.array(tuple(weights.values()), np.float64),
+            held=self._room_of[None] == np.arange(len(types))[:, None],
+            asked=asked_numbers,
+            asked_sums=self._preferences(asked_numbers),
+            by_type=np.argsort(type_of, kind="stable").astype(np.int64),
+            type_of=type_of,
+            plain=self._plain,
+            marks=np.random.default_rng(0).integers(-(2**63), 2**63 - 1, (len(label), 4)),
+            digests=np.zeros((ANSWERS_KEPT, 2), np.int64),
+            answers=np.zeros(ANSWERS_KEPT, bool),
+        )
+        self._known_roomy: dict[tuple[int, int], tuple[I64, NDArray[np.float64]]] = {}
+
+    def fits(self, leaves: int) -> bool:
+        """Return whether the scene has targets for so many leaves."""
+        everything = np.ones(len(self._targets), bool)
+        return fits(everything, everything, leaves, 0, self._tables)
+
+    def roomy(self, leaves: int) -> bool:
+        """Return whether a room about which conditions can be asked has targets for so many leaves."""
+        return len(self._roomy(leaves, 0)[0]) > 0
+
+    def draw(
+        self,
+        composition: Composition | None,
+        moves: Sequence[int],
+        tries: int,
+        used: Counter[str],
+        cap: float,
+        draws: Draws,
+    ) -> tuple[Counter[str], DrawnStops | None]:
+        """Draw until the stops fit, at most `tries` times. Return how many tries failed for each reason, and the stops;
+        None if all tries failed.
+
+        Parameters
+        ----------
+        composition : None if no room can be asked about
+        moves : number of moves of each leaf
+        used : how often each label is a goal so far
+        cap : a label is a goal at most so often
+        """
+        n, waypoints = len(moves), max(moves) - 1
+        if composition is None or self.kinds < _ROOMS_OF[composition][0]:
+            return Counter(no_targets=tries), None
+        least, most = _ROOMS_OF[composition]
+        roomy, roomy_sums = self._roomy(n, waypoints)
+        if composition == "C0" and not len(roomy):
+            return Counter({"no_waypoint" if self.roomy(n) else "no_targets": tries}), None
+        counts, of_label = np.array(moves, np.int64), np.array([used[label] for label in self.labels], np.int64)
+
+        def draw(stream: NDArray[np.float64], left: I64) -> tuple[int, list[int], list[int], list[list[int]]]:
+            failures, rooms = np.zeros(len(FAILURES), np.int64), np.zeros(1 + most, np.int64)
+            stops = np.zeros((n, MOST_MOVES), np.int64)
+            failed = draw_stops(
+                tries,
+                counts,
+                least,
+                most,
+                roomy,
+                roomy_sums,
+                of_label,
+                cap,
+                self._room_of,
+                self._tables,
+                stream,
+                left,
+                failures,
+                rooms,
+                stops,
+            )
+            return failed, failures.tolist(), rooms.tolist(), stops.tolist()
+
+        failed, failures, rooms, stops = draws.compiled(draw)
+        reasons = Counter({reason: count for reason, count in zip(FAILURES, failures, strict=True) if count})
+        if failed == tries:
+            return reasons, None
+        leaves = tuple(
+            tuple(self._targets[k] for k in found[:count]) for found, count in zip(stops, moves, strict=True)
+        )
+        return reasons, DrawnStops(tuple(self._room_ids[k] for k in rooms[1 : 1 + rooms[0]]), leaves)
+
+    def _roomy(self, leaves: int, waypoints: int) -> tuple[I64, NDArray[np.float64]]:
+        """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for
+        `waypoints` more, with running weights.
+        """
+        key, tables = (leaves, waypoints), self._tables
+        if key not in self._known_roomy:
+            chosen = [
+                room
+                for room, held in ((room, tables.held[room]) for room in tables.asked.tolist())
+                if fits(held, held, leaves, 0, tables) and fits(held, held, leaves, waypoints, tables)
+            ]
+            rooms = np.array(chosen, np.int64)
+            self._known_roomy[key] = rooms, self._preferences(rooms)
+        return self._known_roomy[key]
+
+    def _preferences(self, rooms: I64) -> NDArray[np.float64]:
+        """Return running weights with which rooms are drawn."""
+        weights = np.where(self._plain[rooms], PLAIN_ROOM_WEIGHT, 1.0).tolist()
+        return np.array(tuple(accumulate(weights)), np.float64)
