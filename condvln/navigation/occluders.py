@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.compiled import register_warm_up
+from condvln.navigation.kernels.first_hits import blocked_rays
 from condvln.navigation.kernels.slabs import blocked_looks
 from schemas.errors import FormatError, UsageError
 
@@ -66,7 +67,7 @@ class MeshOccluders:
         from condvln.navigation.recast.triangles import checked_triangles
 
         points, corners = checked_triangles(vertices, faces)
-        self._triangles = points[corners].astype(np.float64)
+        self._triangles = np.array(points[corners], np.float64, order="C")
         self._caster = RayMeshIntersector(trimesh.Trimesh(points, corners, process=False))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
@@ -85,26 +86,9 @@ class MeshOccluders:
         if not len(rays):
             return hidden
         direction = away[rays] / distance[rays, None]
-        first = np.asarray(self._caster.intersects_first(eyes[rays], direction))
-        hit = first >= 0
-        rays, direction, met = rays[hit], direction[hit], self._triangles[first[hit]]
-        hidden[rays] = _distance_along(eyes[rays], direction, met) < distance[rays] - TOUCH
+        first = np.asarray(self._caster.intersects_first(eyes[rays], direction), np.int64)
+        hidden[rays] = blocked_rays(eyes[rays], direction, distance[rays], self._triangles, first, TOUCH)
         return hidden
-
-
-def _distance_along(eyes: Points, direction: Points, triangles: Points) -> Points:
-    """Return the distance (k,) in metres from each eye, along the eye's ray, to the plane of the triangle that the ray
-    hits.
-
-    For a ray parallel to the plane the intersection is ill-defined; the result is clipped to the triangle's corners.
-    """
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.einsum("kj,kj->k", normal, triangles[:, 0] - eyes) / np.einsum("kj,kj->k", normal, direction)
-    corners = np.einsum("kcj,kj->kc", triangles - eyes[:, None], direction)
-    nearest, farthest = corners.min(axis=1), corners.max(axis=1)
-    distance: Points = np.clip(np.where(np.isfinite(t), t, farthest), nearest, farthest)
-    return distance
 
 
 class BoxOccluders:
@@ -231,7 +215,9 @@ def wall_boxes(
 
 
 def _warm_up() -> None:
-    BoxOccluders.of_aabbs([[[-1, -1, -1], [1, 1, 1]]]).hidden(np.array([[3.0, 0, 0]]), np.array([[-3.0, 0, 0]]))
+    eyes, away = np.array([[3.0, 0, 0]]), np.array([[-1.0, 0, 0]])
+    BoxOccluders.of_aabbs([[[-1, -1, -1], [1, 1, 1]]]).hidden(eyes, 3.0 * away)
+    blocked_rays(eyes, away, np.array([6.0]), np.eye(3)[None], np.zeros(1, np.int64), TOUCH)
 
 
 register_warm_up("line of sight among boxes", _warm_up)

@@ -128,9 +128,10 @@ class _Reader(PhraseReader):
 
         More than half of all states are reached in several ways; what follows them is read once.
         """
-        if (state, base, self.scope) in self._continued:
-            return
+        known = len(self._continued)
         self._continued.add((state, base, self.scope))
+        if len(self._continued) == known:
+            return
         for end, _, _ in self._of(state.at, "list"):
             if self._is(end, ".") or self._is(end, ":"):
                 yield from self._sentences(state._replace(at=end + 1, listed=0), base)
@@ -245,9 +246,11 @@ class _Reader(PhraseReader):
         if not context or not self._is(state.at, ","):
             return
         at = state.at + 1
-        starts = [at, *(end for end, _, _ in self._of(at, "filler"))]
-        for end, moves, room in (found for start in starts for found in self._stops(start, state.room)):
-            yield state._replace(at=end, room=room, rules=(*state.rules, (context, moves))), base
+        # A case that gets stops twice makes the whole text invalid, whatever follows.
+        if not any(context & cases for cases, _ in state.rules):
+            starts = [at, *(end for end, _, _ in self._of(at, "filler"))]
+            for end, moves, room in (found for start in starts for found in self._stops(start, state.room)):
+                yield state._replace(at=end, room=room, rules=(*state.rules, (context, moves))), base
         yield from self._request(state._replace(at=at), context, context)
         for end, _, _ in self._of(at, "if"):
             yield from self._supposed(state._replace(at=end), context, base)
@@ -326,13 +329,13 @@ def _table(state: _State) -> tuple[Moves, ...] | None:
     covered = 0
     if any(phrase.known and phrase.qualifier is None for phrase in state.named):
         return None
-    rules = _placed(state)
     for cases, _ in state.rules:
         if not cases or covered & cases:
             return None
         covered |= cases
     if covered != _ALWAYS:
         return None
+    rules = _placed(state)
     table = tuple(next(moves for cases, moves in rules if cases >> case & 1) for case in range(1 << len(state.named)))
     conditions = range(len(state.named))
     decides = all(any(moves is not table[case ^ 1 << k] for case, moves in enumerate(table)) for k in conditions)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.navigation import occluders as occluders_module
+from condvln.navigation.kernels.first_hits import blocked_rays
 from condvln.navigation.occluders import BoxOccluders, MeshOccluders, wall_boxes
 from condvln.navigation.sight import SightTarget, View, eyes_at, first_sights, visible_points, visible_shares
 from condvln.navigation.surface_samples import box_samples
@@ -277,3 +278,25 @@ def test_a_box_with_headroom_hides_nothing_straight_above_it(point, half, turn, 
 def test_headroom_fits_the_boxes() -> None:
     with pytest.raises(UsageError, match="headrooms"):
         BoxOccluders([[0, 0, 0]], [[1, 1, 1]], None, [0.5, 0.5])
+
+
+def test_rays_are_blocked_before_the_plane_of_their_triangle() -> None:
+    rng = np.random.default_rng(8)
+    triangles = rng.normal(size=(50, 3, 3))
+    triangles[:5] *= [1.0, 0.0, 1.0]  # level, as the rays below: no intersection with the plane
+    eyes, direction = rng.normal(size=(2, 400, 3))
+    direction[:100, 1] = 0.0
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    first = rng.integers(-1, 50, 400)
+    first[:50] = rng.integers(0, 5, 50)
+    distance = rng.uniform(0, 3, 400)
+    expected = []
+    for eye, way, far, met in zip(eyes, direction, distance, first, strict=True):
+        a, b, c = triangles[met]
+        normal = np.cross(b - a, c - a)
+        along = (triangles[met] - eye) @ way
+        facing = normal @ way
+        plane = normal @ (a - eye) / facing if facing else along.max()
+        expected.append(met >= 0 and np.clip(plane, along.min(), along.max()) < far - 0.01)
+    np.testing.assert_array_equal(blocked_rays(eyes, direction, distance, triangles, first, 0.01), expected)
+    assert 50 < sum(expected) < 350
