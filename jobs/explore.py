@@ -125,7 +125,7 @@ def _add(
         scene.scene.scene_id,
         scene.rows,
         documents,
-        plan=plan_document(scene.scene, scene.tile, scene.seeable),
+        plan=plan_document(scene.scene, scene.tile, scene.seen),
         graph=None if scene.relations is None else graph_document(scene.relations, ids),
         walks=agents.walks_of(scene.rows, folder),
     )

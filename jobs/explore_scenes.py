@@ -47,6 +47,7 @@ class ExploredScene:
     rows : manifest rows of its episodes, sorted by id
     relations : rows of its relations; None where they are not known
     tables : rows of ``rejections`` and ``funnel`` by name
+    seen : rows of ``visibility`` by object id
     candidates : reads the scene's candidate programs by id, which the snapshot does not publish
     """
 
@@ -54,7 +55,7 @@ class ExploredScene:
     tile: NavMeshTile | None
     rows: Sequence[Row]
     relations: Sequence[Row] | None = None
-    seeable: Mapping[str, bool | None] | None = None
+    seen: Mapping[str, Row] | None = None
     tables: Mapping[str, Sequence[Row]] | None = None
     thresholds: Thresholds | None = None
     candidates: Callable[[], Mapping[str, Program]] = dict
@@ -120,7 +121,7 @@ def snapshot_scenes(config: Config, export: Path | None) -> Scenes:
                     tile,
                     _rows(own, scene, splits, snapshot.snapshot_id),
                     rows_of(own["relations"]),
-                    {row["object_id"]: row["seeable"] for row in rows_of(own["visibility"])},
+                    {row["object_id"]: row for row in rows_of(own["visibility"])},
                     {name: rows_of(own[name]) for name in ("rejections", "funnel")},
                     config.thresholds,
                     partial(_candidates, snapshot, pipeline, f"{source}/{scene_id}"),

@@ -260,7 +260,8 @@ def decided(predicate: str, pairs: Sequence[Sequence[Criterion]], truth: bool) -
 
     Returns
     -------
-    ``criteria``, ``says``, ``margin`` and ``unit``; ``margin`` is None where no quantity decides. Empty without pairs.
+    ``criteria``, ``says``, ``margin``, ``unit`` and ``parts``, the number of pairs of pieces; ``margin`` is None where
+    no quantity decides. Empty without pairs.
     """
     pairs = [pair for pair in pairs if pair]
     if not pairs:
@@ -277,6 +278,7 @@ def decided(predicate: str, pairs: Sequence[Sequence[Criterion]], truth: bool) -
         "says": says,
         "margin": round(found.margin(truth), _DECIMALS[found.unit]) if holds else None,
         "unit": found.unit,
+        "parts": len(pairs),
     }
 
 

@@ -21,19 +21,19 @@ _DECIMALS: Final = 3
 
 
 def plan_document(
-    scene: Scene, tile: NavMeshTile | None = None, seeable: Mapping[str, bool | None] | None = None
+    scene: Scene, tile: NavMeshTile | None = None, seen: Mapping[str, Mapping[str, Any]] | None = None
 ) -> Document:
     """Return a scene's plan. Coordinates are metres in Habitat's frame, rounded to 1 mm.
 
     Parameters
     ----------
     tile : the navmesh; None where it is not there
-    seeable : by object id, whether text may use the object (table ``visibility``)
+    seen : rows of the table ``visibility`` by object id
     """
     numbers = {room.room_id: number for number, room in enumerate(scene.rooms)}
     return {
         "rooms": [_room(room) for room in scene.rooms],
-        "objects": [_object(item, numbers, seeable or {}) for item in scene.objects],
+        "objects": [_object(item, numbers, (seen or {}).get(item.object_id, {})) for item in scene.objects],
         "floor": floor_document(tile),
     }
 
@@ -67,7 +67,7 @@ def _room(room: Room) -> Document:
     }
 
 
-def _object(item: SceneObject, rooms: Mapping[str, int], seeable: Mapping[str, bool | None]) -> Document:
+def _object(item: SceneObject, rooms: Mapping[str, int], seen: Mapping[str, Any]) -> Document:
     footprint = Footprint.of(item)
     rectangles = [] if footprint is None else [_corners(part) for part in footprint.parts or (footprint,)]
     box = item.box
@@ -85,7 +85,11 @@ def _object(item: SceneObject, rooms: Mapping[str, int], seeable: Mapping[str, b
         "support": item.support,
         "hidden": item.hidden,
         "structure": vocabulary.is_structure(item.label),
-        "seeable": seeable.get(item.object_id),
+        "seeable": seen.get("seeable"),
+        "share": seen.get("share"),
+        "places": seen.get("places"),
+        "from_places": seen.get("from_places"),
+        "nearest_view": seen.get("nearest_view"),
     }
 
 

@@ -213,6 +213,34 @@ def test_text_tree_and_plan_are_linked(page: Page, made: Run) -> None:
     assert facts["certificate"].startswith("proven, ")
 
 
+def test_a_marked_condition_is_part_of_the_address(page: Page, made: Run) -> None:
+    name, k = relational(made, False)
+    page.go(f"#/episode/{name}")
+    page.one(f".tree [data-condition='{k}']").click()
+    address = page.run("return location.hash")
+    assert address.endswith(f"mark={'ABCDEFGH'[k]}")
+    page.open(address)
+    assert page.one(f".tree [data-condition='{k}']").get_attribute("aria-pressed") == "true"
+    assert page.one(".verdict").text.startswith("✘ False")
+    page.one(f".tree [data-condition='{k}']").click()
+    assert "mark" not in page.run("return location.hash")
+
+
+def test_the_legend_has_each_line_of_the_plan(page: Page, made: Run) -> None:
+    name, row = max(made.manifest.items(), key=lambda item: (item[1]["split"] == made.split, len(item[1]["leaves"])))
+    page.go(f"#/episode/{name}")
+    styles = """return [...document.querySelectorAll(arguments[0])].map((node) => {
+        const own = getComputedStyle(node); return `${own.stroke} ${own.strokeDasharray}`; })"""
+    ways = set(page.run(styles, ".layer-paths .way"))
+    walks = set(page.run(styles, ".layer-walk .way"))
+    assert len(ways) == len(row["leaves"])
+    assert len(walks) == 2, "two agents are shown at first"
+    assert set(page.run(styles, ".legend .way")) == ways
+    assert set(page.run(styles, ".playback label .way")) >= walks
+    assert not {line.rsplit(" ", 1)[0] for line in ways} & {line.rsplit(" ", 1)[0] for line in walks}
+    assert len(page.all(".legend li")) >= len(row["leaves"]) + 4
+
+
 def test_the_plan_is_to_scale(page: Page, made: Run) -> None:
     name, row = min(made.manifest.items())
     page.go(f"#/episode/{name}")
@@ -239,6 +267,8 @@ def test_playback_walks_to_the_goal(page: Page, made: Run) -> None:
     page.go(f"#/episode/{name}")
     before = cells(page, "walks")
     assert before[0].startswith("perfect|0 of ")
+    assert f"ends with: success leaf {made.manifest[name]['gold_leaf']}" in before[0]
+    assert len(page.all(".layer-walk .walk.ahead")) == 2, "the walks are there before they are played"
     assert float(before[0].split("|")[2]) == pytest.approx(made.manifest[name]["geodesic_distance"], abs=0.02)
     page.one(".play").click()
     page.until("return Number(document.querySelector('.playback input[type=range]').value) > 2")
@@ -298,13 +328,27 @@ def test_an_object_shows_its_relations(page: Page, made: Run) -> None:
     page.go(f"#/scene/{source}%2F{scene.replace('/', '%2F')}?object={subject}")
     rows = cells(page, "edges")
     assert len(rows) == n
-    used = made.ask(f"""select target, used_distance, horizontal_distance from relations where kind = 'canonical'
+    used = made.ask(f"""select target, used_distance, horizontal_distance, -delta.y from relations where kind =
+        'canonical'
         and source = '{source}' and scene_id = '{scene}' and subject = '{subject}'""")
     # the first cell is "label (id)"; ids have bars, so numbers are counted from the end
     cut = [row.rsplit("|", 6) for row in rows]
-    shown = {row[0].rsplit(" (", 1)[1].rstrip(")"): [float(row[k]) for k in (2, 4)] for row in cut}
-    assert shown.keys() == {target for target, _, _ in used}
-    assert all(shown[target] == pytest.approx([a, b], abs=0.006) for target, a, b in used)  # two decimals are shown
+    shown = {row[0].rsplit(" (", 1)[1].rstrip(")"): [float(row[k]) for k in (2, 4, 5)] for row in cut}
+    assert shown.keys() == {target for target, *_ in used}
+    assert all(shown[target] == pytest.approx(own, abs=0.006) for target, *own in used)  # two decimals are shown
+    said = {row[0].rsplit(" (", 1)[1].rstrip(")"): row[6] for row in cut}
+    margins = made.ask(f"""select target, predicate, margin, true_in_text from relations where kind = 'semantic'
+        and source = '{source}' and scene_id = '{scene}' and subject = '{subject}'""")
+    for target, predicate, margin, fit in margins:
+        assert f"{'✔ ' if fit else ''}{predicate}{'' if margin is None else f' {margin:.2f}'}" in said[target]
+    asked = f"from visibility where source = '{source}' and scene_id = '{scene}' and object_id = '{subject}'"
+    share, seen_from, places = made.ask(f"select share, from_places, places {asked}")[0]
+    facts = dict(zip(page.texts("#object dt"), page.texts("#object dd"), strict=True))
+    assert f"{100 * share:.0f} % of its surface, from {seen_from} of {places} places" in facts["seen"].replace(",", ",")
+    on = f"select object_id from objects where source = '{source}' and scene_id = '{scene}' and support = '{subject}'"
+    assert [name for (name,) in made.ask(on)] == [
+        node.rsplit("(", 1)[1].rstrip(")") for node in page.texts("#object dd:last-child button")
+    ]
     near = made.ask(f"""select target from relations where predicate = 'near' and source = '{source}'
         and scene_id = '{scene}' and subject = '{subject}' and kind = 'semantic' order by 1""")
     assert objects(page, "witness") == [target for (target,) in near]

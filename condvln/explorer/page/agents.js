@@ -8,7 +8,8 @@
 
   function shown(table) {
     return element("div", { "data-split": table.split }, explorer.table(`${table.title} (${table.split})`, table.headings, table.cells, table.name),
-      table.note ? element("p", { class: "note" }, table.note) : "");
+      table.note ? element("p", { class: "note" }, table.note) : "",
+      table.cells.some((row) => row.some((cell) => cell.includes("["))) ? element("p", { class: "note" }, "In brackets: 95 % intervals, scenes drawn with replacement. A row without them comes from one scene.") : "");
   }
 
   /* Return a chart of a measure over depth or chain, a line an agent with its 95 % interval. */
@@ -72,7 +73,7 @@
         return [axis === "all" ? link(label, "browse", { split: table.split }) : AXES[axis] ? link(label, "browse", asked) : label, ...numbers];
       });
       const heads = [`#SR of ${first}`, `#SR of ${second}`, ...table.headings.slice(6)];
-      return element("div", { "data-split": table.split },
+      return element("div", { "data-split": table.split, class: "stacked" },
         explorer.table(`How much better ${first} is than ${second} (${table.split}), in percentage points`, ["episodes", ...heads], rows, "differences"),
         element("p", { class: "note" }, table.note));
     });
@@ -100,7 +101,7 @@
       for (const value of agent.outcome) found[value] += 1;
       return [agent.name, ...used.map((k) => (found[k] ? link(count(found[k]), "browse", { [`agent:${agent.name}`]: outcomes[k] }) : "0"))];
     });
-    return explorer.table("What became of the episodes", ["agent", ...used.map((k) => `#${outcomes[k]}`)], rows, "outcomes");
+    return explorer.table(`What became of the episodes (${[...new Set(agents.flatMap((agent) => agent.splits))].join(", ")})`, ["agent", ...used.map((k) => `#${outcomes[k]}`)], rows, "outcomes");
   }
 
   explorer.views.agents = async (main) => {

@@ -79,12 +79,13 @@
     const rows = [...found.slice((page - 1) * explorer.PAGE, page * explorer.PAGE)];
     const kept = { ...asked, page: "" };
     const slots = rows.map(() => element("p", { class: "text", dir: "auto" }, "…"));
+    const turner = (first) => (pages > 1 ? [` · page ${page} of ${explorer.count(pages)} `, turn("← previous page", page - 1, first && "page-before"), " ", turn("next page →", page + 1, first && "page-after")] : "");
     const turn = (label, to, id) => to >= 1 && to <= pages && to !== page
       ? explorer.link(label, "browse", { ...kept, page: to === 1 ? "" : String(to) }, { id }) : null;
     holder.replaceChildren(
       element("p", { id: "count", "data-count": found.length }, `${explorer.count(found.length)} of ${explorer.count(explorer.index.size)} episodes`,
-        pages > 1 ? ` · page ${page} of ${explorer.count(pages)} ` : "", turn("← previous page", page - 1, "page-before"), " ", turn("next page →", page + 1, "page-after")),
-      element("ol", { class: "episodes", start: (page - 1) * explorer.PAGE + 1 }, rows.map((row, k) => entry(row, kept, slots[k]))));
+        turner(true)),
+      element("ol", { class: "episodes", start: (page - 1) * explorer.PAGE + 1 }, rows.map((row, k) => entry(row, kept, slots[k]))), pages > 1 ? element("p", {}, turner(false)) : "");
     await Promise.all(rows.map(async (row, k) => { slots[k].textContent = explorer.shown(await explorer.loadText(row)); }));
   }
 

@@ -41,7 +41,7 @@
       element(k === 0 ? "th" : "td", { scope: k === 0 ? "row" : null, class: numeric[k] ? "number" : null, "data-heading": columns[k].replace(/^#/, "") }, cell))));
     return element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
       element("table", { "data-table": name || null },
-        element("caption", {}, caption), element("thead", {}, element("tr", {}, head)), element("tbody", {}, body)));
+        element("caption", {}, element("span", {}, caption)), element("thead", {}, element("tr", {}, head)), element("tbody", {}, body)));
   };
 
   /* Return a link to a view with parameters; empty ones are left out. */

@@ -92,7 +92,7 @@
     const options = {
       title: `Plan of scene ${episode.scene}, north up, with the start and the ways to all leaves`,
       points: positions(episode), named, level: null,
-      over: (plan) => { drawn.over(plan); if (onDraw) onDraw(plan); },
+      height: onDraw ? Math.max(300, Math.min(window.innerHeight * 0.55, 640)) : null, over: (plan) => { drawn.over(plan); if (onDraw) onDraw(plan); },
       pick: (item) => { location.hash = explorer.address(`scene/${encodeURIComponent(`${episode.source}/${episode.scene}`)}`, { object: item.id }); },
     };
     let plan = null;
@@ -183,7 +183,7 @@
 
   /* Return one episode as a node, whole or small (for groups side by side), and `shown`, to be called when it is in
      the page. */
-  explorer.episodePanel = async (row, small) => {
+  explorer.episodePanel = async (row, small, kept = () => {}) => {
     const episode = await explorer.loadEpisode(row);
     const [scene, walks] = await Promise.all([explorer.load(`scene-${explorer.index.columns.scene[row]}`), explorer.loadWalks(row)]);
     const drawn = drawing(episode);
@@ -192,6 +192,7 @@
     function choose(about, keep) {
       const fixed = drawn.choose(about, keep);
       const now = about || fixed;
+      if (keep) kept(fixed);
       for (const node of root.querySelectorAll("[data-condition], [data-leaf]")) {
         const same = now && (now.condition !== undefined ? node.dataset.condition === String(now.condition) : node.dataset.leaf === String(now.leaf));
         node.classList.toggle("lit", Boolean(same));
@@ -204,11 +205,18 @@
     root.append(
       element("div", { class: "left" }, panel.node, playback && playback.node),
       element("div", { class: "right" }, explorer.instructionText(episode, choose), explorer.tree(episode, choose), details,
-        small ? null : leafTable(episode, scene), small ? null : agentTable(row), small ? null : axes(episode)));
+        small ? null : leafTable(episode, scene), agentTable(row), small ? null : axes(episode)));
     if (!small) root.append(frames(episode) || "");
     root.classList.toggle("seen", !small && episode.frames.length > 0);
-    return { node: root, episode, shown: panel.draw };
+    return { node: root, episode, shown: panel.draw, choose };
   };
+
+  /* A kept condition or leaf is part of the address: mark=B or mark=2. */
+  const named = (about) => (about ? (about.condition === undefined ? String(about.leaf) : explorer.letter(about.condition)) : "");
+  function marked(name, episode) {
+    const all = [...episode.program.conditions.map((_, condition) => ({ condition })), ...episode.leaves.map(({ leaf }) => ({ leaf }))];
+    return all.find((about) => named(about) === name);
+  }
 
   /* The view of an episode: #/episode/ID, with the filter of the list it came from. */
   explorer.views.episode = async (main, path, asked) => {
@@ -219,17 +227,20 @@
     const at = found.indexOf(row);
     const before = at > 0 ? index.columns.id[found[at - 1]] : null;
     const after = at >= 0 && at < found.length - 1 ? index.columns.id[found[at + 1]] : null;
-    const panel = await explorer.episodePanel(row, false);
+    const { mark, ...list } = asked;
+    const panel = await explorer.episodePanel(row, false, (about) => history.replaceState(null, "", explorer.address(`episode/${path[0]}`, { ...list, mark: named(about) })));
     const group = index.columns.group[row];
     const place = at < 0 ? "not in this list" : `${explorer.count(at + 1)} of ${explorer.count(found.length)}`;
     main.replaceChildren(
       element("div", { class: "row heading" }, element("h1", {}, `Episode ${panel.episode.id}`),
-        link("◀ Back to the list", "browse", { ...asked, page: at < 0 ? "" : String(Math.floor(at / explorer.PAGE) + 1) }, { id: "back" }),
-        before && link("← Previous", `episode/${before}`, asked, { id: "previous", rel: "prev" }), element("span", { id: "place" }, place),
-        after && link("Next →", `episode/${after}`, asked, { id: "next", rel: "next" }),
+        link("◀ Back to the list", "browse", { ...list, page: at < 0 ? "" : String(Math.floor(at / explorer.PAGE) + 1) }, { id: "back" }),
+        before && link("← Previous", `episode/${before}`, list, { id: "previous", rel: "prev" }), element("span", { id: "place" }, place),
+        after && link("Next →", `episode/${after}`, list, { id: "next", rel: "next" }),
         group >= 0 && link("Its counterfactual group", `group/${group}`, {}, { id: "group" })),
       panel.node);
     panel.shown();
+    const about = marked(mark, panel.episode);
+    if (about) panel.choose(about, true);
     return `Episode ${panel.episode.id}`;
   };
 
@@ -238,7 +249,10 @@
     const rows = explorer.filter({ group: path[0] });
     if (!rows.length) throw new Error(`there is no group ${path[0]}`);
     const panels = await Promise.all([...rows].map((row) => explorer.episodePanel(row, true)));
-    main.replaceChildren(element("h1", {}, "Counterfactual group"),
+    const other = (group, id, label) => group >= 0 && group < explorer.index.groups && link(label, `group/${group}`, {}, { id });
+    const at = Number(path[0]);
+    main.replaceChildren(element("div", { class: "row heading" }, element("h1", {}, "Counterfactual group"), link("◀ Back to the list", "browse", { group: "any" }, { id: "back" }),
+      other(at - 1, "previous", "← Previous"), element("span", {}, `${at + 1} of ${explorer.index.groups}`), other(at + 1, "next", "Next →")),
       element("p", {}, "One start; the truth of a condition is flipped, or two leaves are exchanged."),
       element("div", { class: "side-by-side" }, panels.map((panel) => element("section", { "aria-label": `Episode ${panel.episode.id}` },
         element("h2", {}, link(`Episode ${panel.episode.id}`, `episode/${panel.episode.id}`, { group: path[0] })), panel.node))));

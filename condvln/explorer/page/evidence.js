@@ -49,7 +49,7 @@
       return `${label}: ${name} is in the ${room}${seen}.`;
     }
     if (!first.says) return `${label}: ${name} decides it.`;
-    const others = facts.things.length > 1 && !condition.truth ? `, the nearest to it of ${facts.things.length}` : "";
+    const others = facts.things.length > 1 && !condition.truth ? `, the closest call of ${facts.things.length}` : "";
     return `${label}: ${name}${others}: ${first.says}.`;
   }
 
@@ -95,8 +95,11 @@
     }
     if (proof) {
       const numbers = Object.entries(proof.numbers).filter(([, value]) => value !== null).map(([name, value]) => proven(name, value));
+      // The certificate has the numbers of the first object that it looks at, and of that object's first parts.
+      const several = facts && (facts.things.length > 1 || facts.things[0]?.parts > 1);
+      const apart = several && numbers.length ? " (numbers of the first thing and part that it tests)" : "";
       lines.push(element("p", { class: "proof" },
-        `Certificate, by other code: ${proof.truth}${numbers.length ? `; ${numbers.join(", ")}` : ""}.`));
+        `Certificate, by other code: ${proof.truth}${apart}${numbers.length ? `; ${numbers.join(", ")}` : ""}.`));
     }
     if (evidence) lines.push(element("p", { class: "seen" },
       `Evidence: ${LEVELS[evidence.observability] || evidence.observability}${evidence.in_view ? ", in the first view" : ""}.`));

@@ -33,7 +33,7 @@
       if (start < at) continue;
       parts.push(episode.text.slice(at, start));
       const about = condition >= 0 ? { condition } : { leaf };
-      const kind = condition >= 0 ? "clause condition" : `clause leaf${leaf === episode.gold ? " gold" : ""}`;
+      const kind = condition >= 0 ? "clause condition" : `clause leaf ${leaf === episode.gold ? "gold" : `leaf-${leaf % 4}`}`;
       parts.push(pickable({ class: kind, ...data(about) }, about, choose, episode.text.slice(start, end)));
       at = end;
     }

@@ -4,6 +4,22 @@
 {
   const { element } = explorer;
   const main = document.getElementById("main");
+  const TERMS = [
+    ["leaf, gold leaf", "an end of the tree: stops in an order, the last one is the goal; the truths of the conditions lead to the gold one"],
+    ["witness", "an object that makes a condition true"], ["rival", "another object that the condition's words can mean"],
+    ["anchor", "the object that a relation is to: the bed in “near the bed”"],
+    ["margin", "how far the deciding quantity is beyond its bound; what lies between the bounds of true and false is never used in text"],
+    ["C0, C1, C2", "composition: all in one room; several rooms; a condition and its two leaves in three different rooms"],
+    ["O0f, O0, O1, O2", "from where the evidence is seen: in the first view; from the start; on the way that the paths to all leaves share; later"],
+    ["NE, TL", "navigation error: metres from the end of the walk to the goal; length of the walk in metres"],
+    ["SR, OSR", "success rate: the share of walks that stop within the success distance of the goal; OSR counts walks that come that near at any time"],
+    ["SPL, SPL-route", "success weighted by the length of the shortest path to the goal; by the path through all stops"],
+    ["nDTW, SDTW, CLS", "how close the walk is to the gold path; the same for successful walks only; coverage and length"],
+    ["BSA, CSR", "the share of stops reached in order before the first one is missed; the share of walks that reach all and succeed; “-all”: over all episodes"],
+    ["wrong branch, no commit", "the walk ends at another leaf; it ends at no leaf"],
+    ["right leaf, failed", "the walk ends at the gold leaf's goal and still failed, for example without STOP"],
+    ["[low, high]", "95 % interval, scenes drawn with replacement; with one scene there is none"],
+  ];
   const KEYS = [["→ or n", "next episode of the list"], ["← or p", "previous episode"], ["/", "search in texts"], ["Esc", "back to the list"],
     ["Tab, Enter", "go to a clause, a condition or a leaf, and keep it marked"]];
   let turn = 0;
@@ -22,7 +38,8 @@
       element("p", {}, "Each episode is an instruction with conditions. Its tree leads to one leaf, the gold one; the agent must go through that leaf's stops and stop at its goal."),
       element("p", {}, "Point at a clause, a condition or a leaf to see it on the plan. Choose it with a click or Enter to keep it marked. Every list, episode, scene and object has its own address, which can be sent to others."),
       element("p", {}, "Ranges are written from..to: 5..10, 5.. or ..10."),
-      explorer.table("Keys", ["key", "what it does"], KEYS, "keys"));
+      explorer.table("Keys", ["key", "what it does"], KEYS, "keys"),
+      explorer.table("Words", ["word", "meaning"], TERMS, "terms"));
     return "Help";
   };
 

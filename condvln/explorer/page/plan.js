@@ -6,6 +6,7 @@
   const BELOW = 18;  // room for the scale
   const FLAT = new Set(["floor", "ceiling"]);
   const FONT = 11;
+  const SMALL = 16;  // pixels: what is smaller gets a ring where it is marked
   const { svg } = explorer;
 
   /* Places labels one after the other and leaves out those that would cover another. */
@@ -137,7 +138,7 @@
         if (this.level !== null && room && room.level !== this.level) continue;
         const parts = item.shape.map((p) => svg("polygon", { points: this.points([[p[0], p[1]], [p[2], p[3]], [p[4], p[5]], [p[6], p[7]]]) }));
         if (!parts.length) parts.push(svg("circle", { cx: this.x(item.center[0]), cy: this.y(item.center[2]), r: 3 }));
-        const shape = svg("g", { class: `object${item.hidden ? " hidden" : ""}${item.structure ? " structure" : ""}`, "data-object": item.id },
+        const shape = svg("g", { class: `object${item.hidden ? " hidden" : ""}${item.seeable === false && !item.hidden ? " unseeable" : ""}${item.structure ? " structure" : ""}`, "data-object": item.id },
           svg("title", {}, `${item.label} (${item.id})${room ? `, ${room.label}` : ""}`), parts);
         if (options.pick) shape.addEventListener("click", () => options.pick(item, number));
         this.layers.objects.append(shape);
@@ -212,9 +213,12 @@
       for (const id of ids) {
         const item = this.scene.objects.find((one) => one.id === id);
         if (!item || !this.shapes.has(id)) continue;
+        const box = this.shapes.get(id).getBBox();
+        const at = [this.x(item.center[0]), this.y(item.center[2])];
+        if (Math.max(box.width, box.height) < SMALL) this.layers.named.append(svg("circle", { cx: at[0], cy: at[1], r: SMALL * 0.6, class: "ring" }));
         const around = [[0, -14], [0, 14], [0, -28], [0, 28], [46, 0], [-46, 0], [46, -16], [-46, 16]];
-        const at = labels.place(this.x(item.center[0]), this.y(item.center[2]), item.label, FONT, around);
-        if (at) this.layers.named.append(svg("text", { x: at[0], y: at[1] + FONT * 0.35, class: "marked-label", "font-size": FONT }, item.label));
+        const free = labels.place(...at, item.label, FONT, around);
+        if (free) this.layers.named.append(svg("text", { x: free[0], y: free[1] + FONT * 0.35, class: "marked-label", "font-size": FONT }, item.label));
       }
     }
 

@@ -15,13 +15,19 @@
     return "Scenes";
   };
 
-  function describe(item, scene) {
+  function describe(item, scene, pick) {
     const room = scene.rooms[item.room];
     const height = item.low === null ? "unknown" : `${number(item.low)} to ${number(item.high)} m`;
-    const seen = item.hidden ? "hidden in something shut" : item.seeable === true ? "seeable" : item.seeable === false ? "not seeable enough for text" : "unknown";
+    const looked = item.places ? `: ${number(item.share * 100, 0)} % of its surface, from ${item.from_places} of ${item.places} places in the room`
+      + `${item.nearest_view === null ? "" : `, the nearest ${number(item.nearest_view)} m away`}` : "";
+    const seen = (item.hidden ? "hidden in something shut" : item.seeable === true ? "seeable" : item.seeable === false ? "not seeable enough for text" : "unknown") + (item.hidden ? "" : looked);
+    const known = (id) => scene.objects.findIndex((one) => one.id === id);
+    const those = (name) => scene.objects.filter((one) => one[name] === item.id).map((one) => one.id);
+    const listed = (ids) => (ids.length ? element("ul", { class: "plain" }, ids.map((id) => element("li", {}, known(id) < 0 ? id : element("button", { type: "button", class: "as-link", onclick: () => pick(known(id)) }, explorer.thing(scene, id))))) : "–");
     const fact = (name, value) => [element("dt", {}, name), element("dd", { "data-fact": name }, value)];
     return element("dl", { class: "facts-list" }, fact("label", item.label), fact("the source's label", item.raw), fact("room", room ? room.label : "–"),
-      fact("geometry", item.geometry), fact("height", height), fact("seen", seen), fact("in", item.parent || "–"), fact("on", item.support || "–"));
+      fact("geometry", item.geometry), fact("height", height), fact("seen", seen), fact("it is in", listed(item.parent ? [item.parent] : [])), fact("it is on", listed(item.support ? [item.support] : [])),
+      fact("in it", listed(those("parent"))), fact("on it", listed(those("support"))));
   }
 
   /* Return the edges of an object to all others as rows: other, distance, direction, predicates with margins. */
@@ -74,7 +80,7 @@
       list.value = String(chosen);
       history.replaceState(null, "", explorer.address(`scene/${encodeURIComponent(name)}`, { object: item.id }));
       const found = graph ? edges(graph, scene, chosen) : [];
-      details.replaceChildren(element("h2", {}, `${item.label} (${item.id})`), describe(item, scene));
+      details.replaceChildren(element("h2", {}, `${item.label} (${item.id})`), describe(item, scene, pick));
       relations.replaceChildren(graph ? relationTable(found, scene, item, pick)
         : element("p", {}, "Relations are known only where a configuration is explored."));
       light(found);
@@ -87,6 +93,7 @@
       const id = (number_) => scene.objects[number_].id;
       const holds = (one, ...predicates) => one.semantic.some((edge) => predicates.includes(edge.predicate));
       plan.light("chosen", [item.id]);
+      plan.name([item.id]);
       plan.light("witness", found.filter((one) => holds(one, "near")).map((one) => id(one.other)));
       const resting = scene.objects.filter((one) => one.support === item.id || one.parent === item.id || one.id === item.support || one.id === item.parent);
       plan.light("anchor", resting.map((one) => one.id));
@@ -118,7 +125,7 @@
     main.replaceChildren(element("h1", {}, `Scene ${name}`),
       element("p", {}, `${count(entry.rooms)} rooms, ${count(entry.objects)} objects, `, link(`${count(entry.episodes)} episodes`, "browse", { scene: name })),
       element("div", { class: "episode" }, element("div", { class: "left" }, holder, element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), storey),
-        element("ul", { class: "legend" }, [["chosen", "chosen"], ["witness", "near it"], ["anchor", "in, on or under it"], ["hidden", "hidden"]].map(([kind, text]) =>
+        element("ul", { class: "legend" }, [["chosen", "chosen"], ["witness", "near it"], ["anchor", "in or on it, or it is in or on that"], ["hidden", "hidden in something shut"], ["unseen-key", "not seeable enough for text"]].map(([kind, text]) =>
           element("li", {}, element("span", { class: `key ${kind}` }), text)))),
       element("div", { class: "right" }, element("label", { for: "objects" }, "Objects by room"), list, details), relations));
     draw();
