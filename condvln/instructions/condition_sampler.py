@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool
-from condvln.instructions.degeneracy import Claim, Presupposed
+from condvln.instructions.degeneracy import Claim
 from condvln.instructions.kernels.conditions import RULES, draw_conditions, rules_of_places
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
@@ -62,7 +62,7 @@ class ConditionSampler:
         self.start_rooms = tuple(name for name, part in self._rooms.items() if part.bearings)
         self.rooms = tuple(self._rooms)
         self.clashes: Counter[str] = Counter()
-        self._made: dict[tuple[RoomRef, int, bool, int], Condition] = {}
+        self._made: dict[tuple[str | None, int], Condition] = {}
 
     @cached_property
     def _numbered(self) -> NumberedStatements:
@@ -106,7 +106,7 @@ class ConditionSampler:
         if truths and not rooms:
             raise GivenUp("no_condition")
         numbered = self._numbered
-        given = numbered.given(Presupposed.by(stops))
+        given = numbered.given(stops)
         wanted, sums = np.array(truths, dtype=bool), np.array(tuple(accumulate(weights)), dtype=np.float64)
         asked_about = numbered.rooms([names[room] for room in rooms])
         start = -1 if start_room is None else numbered.room(start_room)
@@ -149,7 +149,6 @@ class ConditionSampler:
             return None
         part = self._rooms[old.room.room_id]
         claims = [Claim.of(condition) for k, condition in enumerate(program.conditions) if k != index]
-        given = Presupposed.by(move for leaf in program.leaves for move in leaf.moves)
         truth = not old.truth
         form = None if old.qualifier is None else (old.qualifier.predicate, old.definite)
         statements = part.pool.presence if form is None else part.pool.relations.get(form)
@@ -159,7 +158,7 @@ class ConditionSampler:
         number = next(k for k, pool in enumerate(numbered.pools) if pool is statements)
         first, room = numbered.first(number, truth), numbered.room(old.room.room_id)
         others, room_anchor = numbered.claims(claims), numbered.label(old.room.anchor_label)
-        said, label = numbered.given(given), numbered.label(old.label)
+        said, label = numbered.given(move for leaf in program.leaves for move in leaf.moves), numbered.label(old.label)
         rules = rules_of_places(others, room, room_anchor, number, int(truth), said, numbered.tables)
         labels = numbered.tables.labels[first : first + len(rules)]
         sound = rules < 0
@@ -178,7 +177,7 @@ class ConditionSampler:
 
     def _condition(self, room: RoomRef, pool: int, truth: bool, place: int) -> Condition:
         """Return the condition that states what is at `place` of a pool (see `NumberedStatements`)."""
-        key = (room, pool, truth, place)
+        key = (room.anchor_id, place)  # each place belongs to one room
         if key not in self._made:
             question = self._numbered.pools[pool].question(truth, place - self._numbered.first(pool, truth))
             qualifier = None

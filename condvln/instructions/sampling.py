@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import accumulate
 from typing import Final
 
@@ -35,7 +35,7 @@ from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
-from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, Qualifier, RoomRef, asked_in
+from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef, asked_in
 
 __all__ = ["ProgramSampler"]
 
@@ -61,6 +61,46 @@ class _Shape:
     moves: tuple[int, ...]
     bearings: bool
     gold: int
+
+
+class _Names:
+    """The names of one object, and the weights with which they are drawn.
+
+    words : for each name, the labels that a word for an anchor of its qualifier might mean
+    """
+
+    def __init__(self, refs: Sequence[ObjectRef], sampling: SamplingConfig, words: Vocabulary) -> None:
+        self.refs, self._sampling = refs, sampling
+        anchors = [() if ref.qualifier is None else ref.qualifier.anchor_labels for ref in refs]
+        self.words = [frozenset[str]().union(*map(words.overlapping, labels)) for labels in anchors]
+        self._sums = tuple(accumulate(preferences(refs, sampling)))
+
+    def draw(self, said: Collection[str], draws: Draws) -> ObjectRef:
+        """Return one of the names, by preference. No name relies on an object with a label that is `said` of another
+        room.
+
+        Raises
+        ------
+        GivenUp
+            There is no such name.
+        """
+        if not self.refs:
+            raise GivenUp("circular")
+        if all(words.isdisjoint(said) for words in self.words):
+            return self.refs[draws.cumulative(self._sums)]
+        refs = [ref for ref, words in zip(self.refs, self.words, strict=True) if words.isdisjoint(said)]
+        if not refs:
+            raise GivenUp("two_things")
+        return draws.weighted(refs, preferences(refs, self._sampling))
+
+
+def preferences(refs: Sequence[ObjectRef], sampling: SamplingConfig) -> list[float]:
+    """Return the weights of `refs`, the names of one object, set by their predicates; a name of weight 0 is used only
+    if the object has no other name.
+    """
+    groups = ["" if ref.qualifier is None else GROUP_OF[ref.qualifier.predicate] for ref in refs]
+    weights = [getattr(sampling.predicates, group, 1.0) / groups.count(group) for group in groups]
+    return weights if any(weights) else [1.0] * len(refs)
 
 
 class ProgramSampler:
@@ -127,7 +167,8 @@ class ProgramSampler:
             [room_id for room_id in self._names if self._is_plain(room_id)],
             self.condition_sampler.rooms,
         )
-        self._refs: dict[tuple[RoomRef, str], tuple[ObjectRef, ...]] = {}
+        self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
+        self._known_names: dict[tuple[str, str | None, str, bool], _Names] = {}
 
     def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
         referents = self.referents[room_id]
@@ -157,13 +198,13 @@ class ProgramSampler:
         """Yield up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, with their
         cells.
         """
-        seen: set[Program] = set()
+        seen: set[tuple[object, ...]] = set()
         used: Counter[str] = Counter()
         for cell in self.wanted.cells_of(category):
             for program in self._drawn(cell, seen, used):
                 yield cell, program
 
-    def _drawn(self, cell: InstructionCell, seen: set[Program], used: Counter[str]) -> Iterator[Program]:
+    def _drawn(self, cell: InstructionCell, seen: set[tuple[object, ...]], used: Counter[str]) -> Iterator[Program]:
         category, wanted = cell.category, self.sampling.candidates(cell)
         if wanted and not self.condition_sampler.rooms:
             self.rejections[cell, "nothing_to_ask"] += 1
@@ -190,7 +231,7 @@ class ProgramSampler:
                     program = self._worded(cell, _unseen(self._draw(category, shape, stops, draws), seen))
                 if program is None:
                     continue
-                seen.add(program)
+                seen.add(_key(program))
                 found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
                 yield program
@@ -232,7 +273,7 @@ class ProgramSampler:
             return
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
         order = draws.sample(cells, len(cells))
-        seen: set[Program] = set()
+        seen: set[tuple[object, ...]] = set()
         unused: Counter[str] = Counter()
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
@@ -241,8 +282,9 @@ class ProgramSampler:
                 group = None
                 with self._counted(None):
                     group = self._group(_unseen(self._draw(cell.category, shape, stops, draws), seen), draws)
-                if group is not None and not seen & set(group):
-                    seen.update(group)
+                keys = set(map(_key, group or ()))
+                if group is not None and not seen & keys:
+                    seen.update(keys)
                     yield group
                     break
 
@@ -295,14 +337,17 @@ class ProgramSampler:
         near = [room for room in self.condition_sampler.start_rooms if room in names] if shape.bearings else []
         start_room = draws.choice(near) if near else None
         leaves, bearings = self._leaves(stops, names, draws, start_room)
-        # Truths that don't matter on the way to the gold leaf are fair coins.
-        truths = draws.choice([assignment for assignment, leaf in outcomes(category).items() if leaf == shape.gold])
-        moves = [move for leaf in leaves for move in leaf.moves]
+        truths = draws.choice(_leading_to(category, shape.gold))
+        moves = [move for leaf in leaves for move in leaf]
         conditions = self.condition_sampler.conditions(truths, moves, names, draws, start_room, bearings)
-        if idle_conditions(category, [leaf.goal.object_id for leaf in leaves]):
+        goals = [leaf[-1].object_id for leaf in leaves]
+        if len(set(goals)) < len(goals) and idle_conditions(category, goals):
             raise GivenUp("idle_condition")
         program = Program(
-            category=category, conditions=conditions, branches=SHAPES[category].branches, leaves=tuple(leaves)
+            category=category,
+            conditions=conditions,
+            branches=SHAPES[category].branches,
+            leaves=tuple(Leaf(moves=tuple(leaf)) for leaf in leaves),
         )
         if composition(program) != shape.composition:
             raise GivenUp("composition_missed")
@@ -310,8 +355,8 @@ class ProgramSampler:
 
     def _leaves(
         self, stops: Sequence[Sequence[Target]], names: Mapping[str, RoomRef], draws: Draws, start_room: str | None
-    ) -> tuple[list[Leaf], int]:
-        """Return the leaves with a name for each stop, and the number of egocentric statements left for conditions. An
+    ) -> tuple[list[list[ObjectRef]], int]:
+        """Return the names of the stops of each leaf, and the number of egocentric statements left for conditions. An
         object has the same name in all leaves.
         """
         # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
@@ -319,20 +364,19 @@ class ProgramSampler:
         said = {(target.room_id, target.label) for moves in stops for target in moves}
         said |= {(room_id, name.anchor_label) for room_id, name in names.items() if name.anchor_label is not None}
         named: dict[str, ObjectRef] = {}
-        leaves = []
+        leaves: list[list[ObjectRef]] = []
         for moves in stops:
-            refs = []
+            refs: list[ObjectRef] = []
             for target in moves:
                 ref = named.get(target.object_id)
                 if ref is None or (ref.is_bearing and bearings < 2):
                     here = target.room_id == start_room and bearings > 1
                     ref = named[target.object_id] = self._named(target, names[target.room_id], draws, here, said)
-                    said.update(
-                        (target.room_id, label) for label in (ref.qualifier.anchor_labels if ref.qualifier else ())
-                    )
+                    if ref.qualifier is not None:
+                        said.update((target.room_id, label) for label in ref.qualifier.anchor_labels)
                 refs.append(ref)
                 bearings -= ref.is_bearing
-            leaves.append(Leaf(moves=tuple(refs)))
+            leaves.append(refs)
         return leaves, bearings
 
     def _is_plain(self, room_id: str) -> bool:
@@ -363,33 +407,32 @@ class ProgramSampler:
         """Return one of the names of a target, drawn by preference. An egocentric name is possible only if `start` is
         true: the start is in the target's room. `said` are the rooms and labels of what the text names already.
         """
-        key = (room, target.object_id)
-        if key not in self._refs:
-            refs = object_refs(self.referents[target.room_id], target.index, room)
-            self._refs[key] = tuple(ref for ref in refs if not is_circular(ref, self.words))
-        refs = self._refs[key] if start else tuple(ref for ref in self._refs[key] if not ref.is_bearing)
-        if not refs:
-            raise GivenUp("circular")
-        outside = {label for room_id, label in said if room_id != target.room_id}
-        refs = tuple(ref for ref in refs if ref.qualifier is None or not self._is_said(ref.qualifier, outside))
-        if not refs:
-            raise GivenUp("two_things")
-        return draws.weighted(refs, self._preferences(refs))
-
-    def _is_said(self, qualifier: Qualifier, labels: Collection[str]) -> bool:
-        """Return whether a word for an anchor of `qualifier` might mean one of `labels`."""
-        return any(not self.words.overlapping(label).isdisjoint(labels) for label in qualifier.anchor_labels)
-
-    def _preferences(self, refs: Sequence[ObjectRef]) -> list[float]:
-        """Return the weights of `refs`, the names of one object, set by their predicates; a name of weight 0 is used
-        only if the object has no other name.
-        """
-        groups = ["" if ref.qualifier is None else GROUP_OF[ref.qualifier.predicate] for ref in refs]
-        weights = [getattr(self.sampling.predicates, group, 1.0) / groups.count(group) for group in groups]
-        return weights if any(weights) else [1.0] * len(refs)
+        key = (room.room_id, room.anchor_id, target.object_id, start)
+        names = self._known_names.get(key)
+        if names is None:
+            if key[:3] not in self._refs:
+                refs = object_refs(self.referents[target.room_id], target.index, room)
+                self._refs[key[:3]] = tuple(ref for ref in refs if not is_circular(ref, self.words))
+            refs = tuple(ref for ref in self._refs[key[:3]] if start or not ref.is_bearing)
+            names = self._known_names[key] = _Names(refs, self.sampling, self.words)
+        return names.draw({label for room_id, label in said if room_id != target.room_id}, draws)
 
 
-def _unseen(program: Program, seen: set[Program]) -> Program:
-    if program in seen:
+@cache
+def _leading_to(category: Category, gold: int) -> tuple[tuple[bool, ...], ...]:
+    """Return the truths of conditions that lead to a leaf. Truths that don't matter on the way there are fair coins."""
+    return tuple(truths for truths, leaf in outcomes(category).items() if leaf == gold)
+
+
+def _key(program: Program) -> tuple[object, ...]:
+    """Return what distinguishes a program from the other programs of a sampler. The sampler makes each condition and
+    each name of a stop once.
+    """
+    moves = (move for leaf in program.leaves for move in (*leaf.moves, None))
+    return (program.category, *map(id, program.conditions), *map(id, moves))
+
+
+def _unseen(program: Program, seen: set[tuple[object, ...]]) -> Program:
+    if _key(program) in seen:
         raise GivenUp("duplicate")
     return program

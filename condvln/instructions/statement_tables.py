@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool, Form, PresencePool, RelationPool
-from condvln.instructions.degeneracy import Claim, Presupposed
+from condvln.instructions.degeneracy import Claim
 from condvln.instructions.kernels.conditions import NOTHING, Given, StatementTables
 from condvln.instructions.referents import Referents
 from condvln.labels import Vocabulary
-from schemas.program import BEARINGS, RoomRef
+from schemas.program import BEARINGS, ObjectRef, RoomRef
 
 __all__ = ["AskedRoom", "Groups", "NumberedStatements", "Statements"]
 
@@ -115,14 +115,32 @@ class NumberedStatements:
         found = [(self.room(name.room_id), self.label(name.anchor_label)) for name in names]
         return np.array(found, np.int64).reshape(-1, 2)
 
-    def given(self, given: Presupposed) -> Given:
-        """Return what the phrases of stops presuppose, as the kernels take it."""
-        stops, things = (
-            np.array([(self.room(room), self.label(label)) for room, label in named], np.int64).reshape(-1, 2)
-            for named in (given.stops, given.things)
+    def given(self, stops: Iterable[ObjectRef]) -> Given:
+        """Return what the phrases of all `stops` together presuppose (see ``degeneracy.Presupposed``)."""
+        named: list[tuple[int, int]] = []
+        besides: list[tuple[int, int]] = []
+        pairs: list[tuple[int, int, int]] = []
+        for stop in stops:
+            room, label = self.room(stop.room.room_id), self.label(stop.label)
+            named.append((room, label))
+            if stop.room.anchor_label is not None:
+                besides.append((room, self.label(stop.room.anchor_label)))
+            if stop.qualifier is not None:
+                anchors = [self.label(anchor.label) for anchor in stop.qualifier.anchors]
+                besides += [(room, anchor) for anchor in anchors]
+                pairs += [(room, label, anchor) for anchor in anchors]
+        return self.presupposed(named, named + besides, pairs)
+
+    @staticmethod
+    def presupposed(
+        stops: Sequence[tuple[int, int]], things: Sequence[tuple[int, int]], pairs: Sequence[tuple[int, int, int]]
+    ) -> Given:
+        """Return what is presupposed, from numbers of rooms and labels."""
+        return Given(
+            np.array(stops, np.int64).reshape(-1, 2),
+            np.array(things, np.int64).reshape(-1, 2),
+            np.array(pairs, np.int64).reshape(-1, 3),
         )
-        pairs = [(self.room(room), self.label(label), self.label(anchor)) for room, label, anchor in given.pairs]
-        return Given(stops, things, np.array(pairs, np.int64).reshape(-1, 3))
 
     def claims(self, claims: Sequence[Claim]) -> I64:
         """Return claims as the kernels take them, (n, 6)."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import pyarrow as pa
 
-from condvln.instructions.programs import composition
-from schemas.program import Branch, Condition, ObjectRef, Program, Qualifier, RoomRef
+from condvln.instructions.programs import composition, program_document
+from schemas.program import Program
 from schemas.tables import INSTRUCTIONS
 
 __all__ = ["instruction_table", "programs_from_table"]
@@ -39,7 +39,6 @@ def _row(scene_id: str, name: str, program: Program, text: str | None, group: st
         "scene_id": scene_id,
         "instruction_id": name,
         "group_id": group,
-        "category": program.category,
         "depth": program.depth,
         "chain": program.chain,
         "composition": composition(program),
@@ -48,52 +47,10 @@ def _row(scene_id: str, name: str, program: Program, text: str | None, group: st
         "n_leaves": len(program.leaves),
         "gold_leaf": gold,
         "moves": len(program.leaves[gold].moves),
-        "conditions": [_condition(condition) for condition in program.conditions],
-        "branches": [{name: getattr(branch, name) for name in _BRANCH} for branch in program.branches],
-        "leaves": [{"moves": [_move(move) for move in leaf.moves]} for leaf in program.leaves],
+        **program_document(program),
         "text": text,
         "words": None if text is None else len(text.split()),
     }
-
-
-# A program is written field by field: pydantic takes several times as long, and there are hundreds in a scene.
-_BRANCH: Final = tuple(Branch.model_fields)
-
-
-def _condition(condition: Condition) -> dict[str, Any]:
-    return {
-        "label": condition.label,
-        "room": _room(condition.room),
-        "qualifier": _qualifier(condition.qualifier),
-        "definite": condition.definite,
-        "truth": condition.truth,
-        "witnesses": condition.witnesses,
-    }
-
-
-def _move(move: ObjectRef) -> dict[str, Any]:
-    return {
-        "object_id": move.object_id,
-        "label": move.label,
-        "room": _room(move.room),
-        "qualifier": _qualifier(move.qualifier),
-    }
-
-
-def _room(room: RoomRef) -> dict[str, Any]:
-    return {
-        "room_id": room.room_id,
-        "label": room.label,
-        "anchor_id": room.anchor_id,
-        "anchor_label": room.anchor_label,
-    }
-
-
-def _qualifier(qualifier: Qualifier | None) -> dict[str, Any] | None:
-    if qualifier is None:
-        return None
-    anchors = [{"object_id": anchor.object_id, "label": anchor.label} for anchor in qualifier.anchors]
-    return {"predicate": qualifier.predicate, "anchors": anchors}
 
 
 def programs_from_table(table: pa.Table) -> list[tuple[str, Program]]:

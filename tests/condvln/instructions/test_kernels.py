@@ -59,7 +59,13 @@ presupposed = st.builds(
 def test_rules_are_those_of_degeneracy(made: list[Claim], said: Presupposed, shared: dict[str, bool]) -> None:
     words = cast("Vocabulary", Words(shared))
     numbered = NumberedStatements({}, words)
-    table, stops = numbered.claims(made), numbered.given(said)
+    table = numbered.claims(made)
+    room_of, label_of = numbered.room, numbered.label
+    stops = numbered.presupposed(
+        [(room_of(one), label_of(x)) for one, x in said.stops],
+        [(room_of(one), label_of(x)) for one, x in said.things],
+        [(room_of(one), label_of(x), label_of(y)) for one, x, y in said.pairs],
+    )
     rule = clash(table, len(made) - 1, stops, numbered.tables.overlap)
     assert (None if rule < 0 else RULES[rule]) == clash_of_claims(made[-1], made[:-1], said, words)
 

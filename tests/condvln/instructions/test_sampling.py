@@ -19,6 +19,7 @@ from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.rejection import REASONS
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
+from condvln.instructions.sampling import preferences
 from condvln.instructions.stops import Stops
 from condvln.labels import vocabulary
 from condvln.scene import Scene
@@ -315,7 +316,8 @@ def test_every_weight_of_a_predicate_decides(make_scene, facts_maker, group: str
         )
         for predicate in PREDICATES
     ]
-    assert sampler._preferences(names) == [0.7 / len(own) if predicate in own else 0.0 for predicate in PREDICATES]
+    weights = preferences(names, sampler.sampling)
+    assert weights == [0.7 / len(own) if predicate in own else 0.0 for predicate in PREDICATES]
 
 
 def test_reasons_are_named(sampled) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import orjson
+
 from condvln.instructions import instruction_id, instruction_table, program_key, programs_from_table
-from condvln.instructions.programs import composition
+from condvln.instructions.programs import composition, program_document
 from schemas.tables import INSTRUCTIONS
 
 
@@ -23,6 +25,12 @@ def test_programs_survive_their_table(sampled) -> None:
             assert (row["n_conditions"], row["n_leaves"]) == (len(program.conditions), len(program.leaves))
             assert row["n_relational"] == sum(c.qualifier is not None for c in program.conditions)
             assert (row["text"], row["words"]) == (("Go to the sofa.", 4) if name in texts else (None, None))
+
+
+def test_a_program_is_written_as_pydantic_writes_it(sampled) -> None:
+    for _, _, _, programs in sampled:
+        for program in programs:
+            assert orjson.loads(orjson.dumps(program_document(program))) == program.model_dump(mode="json")
 
 
 def test_ids_name_content(sampled) -> None:
