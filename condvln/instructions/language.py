@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
 from itertools import pairwise
@@ -22,7 +22,19 @@ from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
 from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
 
-__all__ = ["LANGUAGES", "LEAF_LETTERS", "SLOTS", "Language", "Noun", "Piece", "Slot", "Template", "Voice", "language"]
+__all__ = [
+    "LANGUAGES",
+    "LEAF_LETTERS",
+    "SLOTS",
+    "Form",
+    "Language",
+    "Noun",
+    "Piece",
+    "Slot",
+    "Template",
+    "Voice",
+    "language",
+]
 
 LANGUAGES: Final = ("en", "es")
 """Codes of the shipped languages."""
@@ -82,15 +94,15 @@ class Template:
     questions : indices of the conditions that are worded as questions
     whether : indices of the requests to look that are answered by "if so" or "if not". They must be worded with
         "whether" or "if": "check the kitchen for a lamp; if so" is no English
-    answered : indices of the requests to look that are answered next, by a slot. They may be worded as "look at the
-        lamp", since the answer can say the rest: "if it's near the bed"
+    answered : (index, form of the answer) of the requests to look that a slot answers next. They may be worded as "look
+        at the lamp", since the answer can say the rest: "if it's near the bed"
     """
 
     pieces: tuple[Piece, ...]
     voices: frozenset[str]
     questions: frozenset[int] = frozenset()
     whether: frozenset[int] = frozenset()
-    answered: frozenset[int] = frozenset()
+    answered: Mapping[int, Form] = field(default_factory=dict)
 
     @property
     def length(self) -> int:
@@ -355,12 +367,12 @@ def _template(
         if isinstance(piece, Slot) and piece.form == "see" and isinstance(after, str)
         if after.lower().lstrip(".:; ").startswith(tuple(f"{answer}," for answer in answers))
     )
-    answered = frozenset(
-        piece.index
+    answered = {
+        piece.index: after.form
         for piece, after in zip(pieces, pieces[2:], strict=False)
         if isinstance(piece, Slot) and isinstance(after, Slot) and piece.form == "see"
         if after.index == piece.index and after.form in ("yes", "no", "lacks")
-    )
+    }
     return Template(tuple(pieces), frozenset(entry["voices"].split()), questions, whether, answered)
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
-from condvln.instructions.language import Language, Noun, Slot, Template, Voice
+from condvln.instructions.language import Form, Language, Noun, Slot, Template, Voice
+from condvln.instructions.sentences import sentences
 from condvln.seeding import Draws
 from schemas.program import BEARINGS, SUPERLATIVES, Condition, Leaf, ObjectRef, Predicate, Program, Qualifier, RoomRef
 
-__all__ = ["Renderer", "sentences"]
+__all__ = ["Renderer"]
 
-LONGEST_SENTENCE: Final = 25
-"""Number of words above which a sentence is split at its colon or semicolon."""
 LOOK_AT_SHARE: Final = 0.5
 """Share of requests about a definite object that say "look at the lamp. If it's near the bed, …"."""
 CHECK_SHARE: Final = 0.4
@@ -54,7 +54,8 @@ class Renderer:
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
         self._whether: frozenset[int] = frozenset()
-        self._answered_next: frozenset[int] = frozenset()
+        self._answered_next: Mapping[int, Form] = {}
+        self._request_before = ""
         self._room_of: dict[str, RoomRef] = {}
         self._found: set[str] = set()
         self._noun_only: frozenset[str] = frozenset()
@@ -257,12 +258,15 @@ class Renderer:
 
     def _see(self, condition: Condition, index: int) -> str:
         self._requests += 1
+        # Two requests in a row that begin with "look for" or "look at" sound like a machine.
+        before, self._request_before = self._request_before, ""
         if condition.definite:
             # "If it is, look at the plant": not "if it is, see if the plant …", with "it is" again as the answer.
             again = len(self.voice.slots["yes_it"]) == 1 and self._answered[0] in self.voice.slots["yes_it"]
+            again = again and self._answered_next.get(index) == "yes"
             sayable = index in self._answered_next and not self._is_set_apart(condition.room)
-            if sayable and (self._chance(LOOK_AT_SHARE) or again):
-                self._looked_at = index
+            if sayable and (again or (before != "look_at" and self._chance(LOOK_AT_SHARE))):
+                self._looked_at, self._request_before = index, "look_at"
                 subject = self._subject(condition)
                 self._know(condition)
                 return f"{self._phrase('look_at')} {subject}"
@@ -274,8 +278,9 @@ class Renderer:
         if plain and self._chance(CHECK_SHARE):
             self._asked_by_exists = self._asked_by_look = False
             return f"{self._phrase('check')} {self._room(condition.room)} {self._filled('for', condition)}"
-        if self._chance(LOOK_SHARE) and not (self.words.found and self._answered[0]):
-            self._asked_by_exists, self._asked_by_look = False, True
+        sayable = before != "look" and not (self.words.found and self._answered[0])
+        if sayable and self._chance(LOOK_SHARE):
+            self._asked_by_exists, self._asked_by_look, self._request_before = False, True, "look"
             self._know(condition)
             where = self._where(condition.room, named=True)
             return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
@@ -486,36 +491,8 @@ def _rooms(program: Program) -> set[RoomRef]:
     return {c.room for c in program.conditions} | {move.room for leaf in program.leaves for move in leaf.moves}
 
 
-def sentences(words: Language, text: str) -> str:
-    """Return `text` with words contracted where the language does so, long sentences split, and each sentence
-    capitalised.
-    """
-    text = words.contracted(text)
-    if ";" in text or ":" in text:
-        text = ". ".join(_split(sentence) for sentence in text.split(". "))
-    for mark in (". ", "? "):
-        text = mark.join(_capital(part) for part in text.split(mark))
-    return text
-
-
 @lru_cache
 def _shortest(phrases: tuple[str, ...]) -> tuple[str, ...]:
     """Return the phrases with the fewest words."""
     least = min(phrase.count(" ") for phrase in phrases)
     return tuple(phrase for phrase in phrases if phrase.count(" ") == least)
-
-
-def _split(sentence: str) -> str:
-    """Return a long sentence split at its colon, then at its semicolons. A numbered list is not split."""
-    if sentence.count(" ") >= LONGEST_SENTENCE and "(" not in sentence:
-        first, _, rest = sentence.partition(": ")
-        sentence = f"{first}. {rest}" if rest else sentence
-        if max(part.count(" ") for part in sentence.split(". ")) >= LONGEST_SENTENCE:
-            sentence = sentence.replace("; ", ". ")
-    return sentence
-
-
-def _capital(sentence: str) -> str:
-    """Return a sentence with its first letter capitalised, also after Spanish's opening mark."""
-    at = 1 if sentence.startswith("¿") else 0
-    return sentence[:at] + sentence[at : at + 1].upper() + sentence[at + 1 :]

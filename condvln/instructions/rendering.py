@@ -17,7 +17,8 @@ from typing import Final
 
 from condvln.instructions.language import Voice, language
 from condvln.instructions.predicates import COMPASS
-from condvln.instructions.renderer import Renderer, sentences
+from condvln.instructions.renderer import Renderer
+from condvln.instructions.sentences import sentences
 from condvln.seeding import Draws, generator, stable_hash
 from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE
