@@ -102,7 +102,7 @@ class Template:
     voices: frozenset[str]
     questions: frozenset[int] = frozenset()
     whether: frozenset[int] = frozenset()
-    answered: Mapping[int, Form] = field(default_factory=dict)
+    answered: Mapping[int, Form] = field(default_factory=dict, hash=False)
 
     @property
     def length(self) -> int:
