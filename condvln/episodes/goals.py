@@ -20,6 +20,7 @@ from schemas.config import GoalsConfig, PlacesConfig
 from schemas.config.constants import (
     FAR_RING_GAP,
     FLOOR_STANDING,
+    FURNITURE_DETOUR,
     HANG,
     LOW_EYE,
     RING_GAP,
@@ -135,7 +136,7 @@ def goal_points(
 
     With a `view`, part of the object is visible from each point, to the camera or to a lower eye that can look under a
     table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at
-    most half the box's perimeter plus 1 m.
+    most half the box's perimeter plus WALL_DETOUR, or plus FURNITURE_DETOUR where walls limit what is visible.
     """
     box = Footprint.of(item)
     if box is None:
@@ -213,7 +214,8 @@ def _standing_places(
     order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
     points = points[order]
     walk = pathfinder.geodesic_distances(points[0], points)
-    same_side = walk <= box.half_perimeter + WALL_DETOUR
+    detour = FURNITURE_DETOUR if view is not None and view.walls_known else WALL_DETOUR
+    same_side = walk <= box.half_perimeter + detour
     return np.asarray(points[same_side], dtype=np.float64)
 
 

@@ -42,6 +42,7 @@ class SceneView:
     Attributes
     ----------
     approximate : boxes are used in place of surfaces; recorded with all derived results
+    walls_known : walls occlude
     """
 
     def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:
@@ -51,6 +52,9 @@ class SceneView:
         self._targets: dict[str, SightTarget] = {}
         self._geometry = geometry if geometry is not None and len(geometry.faces) else None
         self.approximate = self._geometry is None or self._geometry.approximate
+        self.walls_known = not self.approximate or (
+            self._geometry is not None and bool((self._geometry.owner == STRUCTURE).any())
+        )
         self._occluders = self._made(self._geometry, words)
 
     def _made(self, geometry: SceneGeometry | None, words: Vocabulary) -> Occluders:

@@ -21,7 +21,7 @@ from condvln.verify.geodesics import Geodesics, Point
 from condvln.verify.heading import yaw_of
 from condvln.verify.kernels.separation import clearances, near_goals
 from condvln.verify.rules import VerifierRules
-from schemas.config.constants import GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
+from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 
@@ -79,10 +79,12 @@ def check_placement(
     follower: Follower,
     obstacles: Obstacles,
     rules: VerifierRules,
+    *,
+    walls: bool,
 ) -> None:
-    """Check all positions, paths and distances of the episodes of one scene."""
+    """Check all positions, paths and distances of the episodes of one scene. `walls`: the scene's walls are known."""
     lines = _Lines(rows)
-    checker = _Checker(scene, rules)
+    checker = _Checker(scene, rules, walls)
     placed = checker.note(rows, lines)
     checker.walks.ask(follower.pathfinder)
     checker.look_out(obstacles)
@@ -131,7 +133,8 @@ class _Lines:
 
 
 class _Checker:
-    def __init__(self, scene: Scene, rules: VerifierRules) -> None:
+    def __init__(self, scene: Scene, rules: VerifierRules, walls: bool) -> None:
+        self.detour_at_goal = FURNITURE_DETOUR if walls else WALL_DETOUR
         single = scene.single_room
         self.goals, self.island_radius = rules.goals, rules.places.island_radius
         self.success = rules.places.success(single)
@@ -242,9 +245,10 @@ class _Checker:
         around = self.reach.half_round(leaf.object_id)
         if around is not None:
             walk = min(max(self.walks.metres(ways)) for ways in placed.around)
-            certificate.holds("goal_side", walk <= around + WALL_DETOUR + ROUNDING, around + WALL_DETOUR, walk, name)
-        most = self.goals.points
-        certificate.holds("goal_side", len(leaf.goals) <= most, most, len(leaf.goals), name)
+            most = around + self.detour_at_goal
+            certificate.holds("goal_side", walk <= most + ROUNDING, most, walk, name)
+        count = self.goals.points
+        certificate.holds("goal_side", len(leaf.goals) <= count, count, len(leaf.goals), name)
 
     def _check_near(
         self,

@@ -127,7 +127,7 @@ def prove_scene(
         certificate.same("navmesh", claimed, (navmesh.path, navmesh.sha256))
     follower = Follower(navmesh.pathfinder, max_actions=rules.episodes.step_ceiling)
     manifests = [row.manifest for row in rows]
-    check_placement(manifests, certificates, scene, follower, obstacles, rules)
+    check_placement(manifests, certificates, scene, follower, obstacles, rules, walls=sight.walls)
     for row, certificate in zip(rows, certificates, strict=True):
         check_truth(row.manifest, row.truth, follower, certificate)
     check_observability(manifests, certificates, sight, referents, rules.places.eye_height)

@@ -105,7 +105,7 @@ class Sight:
 
     Attributes
     ----------
-    approximate : whether boxes replace surfaces
+    approximate : whether boxes replace surfaces; walls : whether walls occlude
     """
 
     def __init__(
@@ -124,6 +124,7 @@ class Sight:
         self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         known = None if geometry is None or not len(geometry.faces) else geometry
         self.approximate = known is None or known.approximate
+        self.walls = known is not None and (not known.approximate or STRUCTURE in known.owner)
         self._geometry = None if self.approximate else known
         self._numbers = {item.object_id: number for number, item in enumerate(scene.objects)}
         self._boxes: dict[str, list[int]] = {}

@@ -27,6 +27,7 @@ __all__ = [
     "FLOOR_POINTS",
     "FLOOR_STANDING",
     "FRAME_HEADROOM",
+    "FURNITURE_DETOUR",
     "GROUP_SIZE",
     "HANG",
     "HEADING_TOLERANCE",
@@ -83,8 +84,12 @@ SINK: Final = 0.5
 floor thickness)."""
 
 WALL_DETOUR: Final = 1.0
-"""Longest detour around an object's box between two of its goal points, metres; a longer one means that a wall lies
-between them."""
+"""Longest detour around an object's box between two of its goal points where the scene's walls are unknown, metres; a
+longer one means that a wall lies between them."""
+
+FURNITURE_DETOUR: Final = 6.0
+"""The same where walls are known, metres: lines of sight keep to one side of a wall, and a pillow is reached from both
+sides of its bed."""
 
 SNAP_TOLERANCE: Final = 0.05
 """Largest sideways shift by snapping at which a point still counts as on the floor, metres."""

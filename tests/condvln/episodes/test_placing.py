@@ -105,6 +105,25 @@ def test_an_object_is_seen_from_its_goal_points() -> None:
     assert len({*map(tuple, seeing)} & {*map(tuple, around)}) >= 3
 
 
+def test_a_pillow_is_reached_from_either_side_of_its_bed() -> None:
+    # A bed against the wall z = 0; the pillow is in the middle of its head, so the way round is long.
+    bed, pillow = box("bed", 4, 1.3, half=1.1, top=0.5), box("pillow", 4, 0.5, half=0.35, bottom=0.5, top=0.6)
+    pathfinder = grid_floor(8, 6, lambda x, z: 2.9 <= x <= 5.1 and z <= 2.4)
+    scene = apartment(bed, pillow)
+    shapes = [(0, box_triangles(*bed.aabb)), (1, box_triangles(*pillow.aabb))]
+    wall = (STRUCTURE, box_triangles([0, 0, -0.2], [8, 2.5, 0]))
+    rules = GoalsConfig(reach=0.5, reach_at_most=1.5)
+
+    def sides(faces: list[tuple[int, np.ndarray]]) -> tuple[bool, bool]:
+        view = SceneView(scene, surfaces_of(faces, approximate=True))
+        x = goal_points(pillow, scene.rooms[0], pathfinder, PLACES, rules, view=view)[:, 0]
+        return bool((x < 4).any()), bool((x > 4).any())
+
+    assert sides([*shapes, wall]) == (True, True)
+    # Where no wall is known, the far side may be another room.
+    assert sorted(sides(shapes)) == [False, True]
+
+
 def test_what_stands_under_a_table_is_seen_from_lower_down_and_what_is_shut_away_is_not() -> None:
     shoe = box("shoe", 4, 3, half=0.1, top=0.2)
     scene, pathfinder = apartment(shoe), grid_floor(8, 6, lambda x, z: inside(shoe, x, z))
