@@ -98,5 +98,7 @@ class LookerConfig(Section):
         3.0, description="a thing counts as absent from a floor only if the floor was seen from at most this distance"
     )
     patience: Share = Field(
-        0.7, description="share of the step budget after which the agent answers conditions that are still undecided"
+        0.7,
+        description="share of the step budget after which the agent answers conditions that are still undecided; half "
+        "of the rest is added if their room has not been found",
     )

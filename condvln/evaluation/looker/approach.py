@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from condvln.evaluation.looker.floor_map import CELL, F64, Ground, Ways
 from condvln.evaluation.looker.memory import Thing
-from schemas.config.constants import WALL_DETOUR
+from schemas.config.constants import FURNITURE_DETOUR
 
 __all__ = ["REACH", "Approach", "approach"]
 
@@ -20,6 +20,8 @@ Ints = NDArray[np.intp]
 
 REACH: Final = 0.5
 """Distance in metres at which an object counts as reached."""
+SURE_REACH: Final = 0.4
+"""The same in metres where the map's cells and the unseen part of the object leave no doubt."""
 FAR_REACH: Final = 1.5
 """Largest distance in metres at which an object counts as reached if it can't be approached further."""
 LEAST_UNSEEN: Final = 3
@@ -83,7 +85,7 @@ def approach(
     known = ground.passable[rows, columns] & np.isfinite(ways.distance[rows, columns])
     beside = [k for k in np.flatnonzero(known & (away <= REACH)).tolist() if seen_from(k)]
     closest = float(away[beside].min()) if beside else np.inf
-    if looked is not None and not beside:
+    if looked is not None and closest > SURE_REACH:
         view = _unseen_floor(thing, ground, ways, rows, columns, away, seen_from, looked)
         if view is not None:
             return Approach(view, False)
@@ -93,6 +95,8 @@ def approach(
             return None
         closest = float(away[beside].min())
         beside = [k for k in beside if away[k] <= closest + 0.2]
+    elif closest <= SURE_REACH:
+        beside = [k for k in beside if away[k] <= SURE_REACH]
     chosen = np.array(beside, np.intp)
     before = ground.ways_from(float(last[0]), float(last[1]))
     cost = before.distance[rows[chosen], columns[chosen]]
@@ -100,7 +104,7 @@ def approach(
     # Only places on the side of the object that can be approached most closely.
     nearly = np.flatnonzero(away[chosen] <= closest + CELL)
     first = chosen[nearly[np.argmin(cost[nearly])]]
-    around = float(np.ptp(flat, axis=0).sum()) + WALL_DETOUR
+    around = float(np.ptp(flat, axis=0).sum()) + FURNITURE_DETOUR
     same = ground.ways_from(*places[first].tolist()).distance[rows[chosen], columns[chosen]] * CELL <= around
     chosen, cost = chosen[same], cost[same]
     best = int(np.argmin(cost))
@@ -135,7 +139,9 @@ def _unseen_floor(
     path = hoped.to((int(rows[nearest]), int(columns[nearest])))
     place = path[0]
     for point in path[1:]:
-        if ground.unseen[ground.cell(*point.tolist())]:
+        cell = ground.cell(*point.tolist())
+        # A hopeful path may pass a corner of unseen floor diagonally, where no known path does.
+        if ground.unseen[cell] or not np.isfinite(ways.distance[cell]):
             break
         place = point
     if any(np.hypot(*(place - other)) <= GIVEN_UP for other in looked):

@@ -21,6 +21,10 @@ TURNING: Final = 0.25
 """Length in metres of a path that takes as many steps as a turn by one action."""
 FAITHFUL: Final = 1.0
 """Length in metres by which another target must be nearer than the one before."""
+KNOWN_ROOM: Final = 8.0
+"""Length in metres by which a frontier in a room that it has looked around in must be nearer than others when it looks
+for another room: what is unseen there is mostly hidden by furniture.
+"""
 AROUND: Final = 4
 """Cells around a target that was given up which are no targets either."""
 
@@ -92,6 +96,7 @@ class Explorer:
         if not len(rows):
             return None
         places, cost = ground.places(rows, columns), CELL * ways.distance[rows, columns]
+        cost = cost + KNOWN_ROOM * np.isin(ground.region[rows, columns], list(self.been))
         beyond = [thing.middle[[0, 2]] for thing in self._referents.memory if thing.room in rooms]
         if beyond and not rooms & self.been:
             # The room was seen, and no way into it.

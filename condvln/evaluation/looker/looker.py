@@ -227,13 +227,17 @@ class Looker:
         phrase = self.reading.conditions[number]
         answer, guess = self._referents.judge(phrase)
         if answer is None:
-            target = (
-                self._explorer.unseen(phrase, self._here()) if self._step < self.config.patience * self._limit else None
+            rooms = self._referents.rooms(phrase)
+            # Before the room is found there is nothing to guess from.
+            share = (
+                self.config.patience if rooms is None or rooms & self._explorer.been else (1 + self.config.patience) / 2
             )
+            late = self._step >= share * self._limit
+            target = None if late else self._explorer.unseen(phrase, self._here())
             if target is not None:
                 self._set_aim(target)
                 return None
-            if self._step >= self.config.patience * self._limit:
+            if late:
                 self.forced.add(number)
             answer = guess
         if self._flipped[number]:

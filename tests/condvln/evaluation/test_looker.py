@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from condvln.evaluation.export_folder import Export
 from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
-from condvln.evaluation.looker import LookingAgent, read_text
+from condvln.evaluation.looker import Looker, LookingAgent, read_text
 from condvln.evaluation.looker.approach import approach
 from condvln.evaluation.looker.exploring import Explorer, Here
 from condvln.evaluation.looker.eyes import GHOST, Eyes
@@ -23,9 +23,10 @@ from condvln.evaluation.looker.memory import GRAIN, Memory, Thing
 from condvln.evaluation.looker.referents import Referents
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.score import score
+from condvln.evaluation.stepped_episode import heading_of
 from condvln.instructions import reading_of
 from condvln.instructions.rendering import heading_name
-from condvln.instructions.text_reading import Phrase
+from condvln.instructions.text_reading import Phrase, Place
 from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays, SceneObject
 from jobs.command import app
@@ -256,6 +257,73 @@ def test_it_looks_at_the_unseen_side_of_a_bed_before_it_stops() -> None:
     other = approach(thing, seen, seen.ways_from(*here), here, given_up=[found.place])
     assert other is not None
     assert np.hypot(*(other.place - found.place)) > 0.3
+
+
+def test_it_looks_for_a_nearer_place_where_the_known_one_is_barely_near_enough() -> None:
+    ground = floor_with_a_bed(unseen_left=False)
+    ground.unseen[16:28, 20:26] = True
+    ground.passable[16:28, 20:26] = False
+    ground.cost[16:28, 20:26] = np.inf
+    low = np.array([0.1, 0.5, -0.5])
+    thing = Thing(3, "pillow", 0, surface(low, low + np.array([0.3, 0.1, 0.3])), 1.0, 0)
+    here = np.array([1.5, -1.0])
+    found = approach(thing, ground, ground.ways_from(*here), here)
+    assert found is not None
+    assert not found.final
+    found = approach(thing, ground, ground.ways_from(*here), here, looked=None)
+    assert found is not None
+    assert found.final
+    assert found.place[0] > 0.8
+
+
+def test_a_place_to_look_from_can_be_reached() -> None:
+    thing = pillow(-0.6)
+    here = np.array([1.5, 1.5])
+    looked_from = 0
+    for seed in range(40):
+        ground = floor_with_a_bed(unseen_left=False)
+        hidden = np.random.default_rng(seed).uniform(size=ground.shut.shape) < 0.35
+        hidden[:, 30:] = False
+        ground.unseen[hidden & ~ground.shut] = True
+        ground.passable[ground.unseen] = False
+        ground.cost[ground.unseen] = np.inf
+        known_ways = ground.ways_from(*here)
+        found = approach(thing, ground, known_ways, here)
+        if found is not None and not found.final:
+            looked_from += 1
+            assert np.isfinite(known_ways.distance[ground.cell(*found.place.tolist())])
+    assert looked_from > 10
+
+
+def test_new_rooms_come_before_what_furniture_hides_in_known_ones() -> None:
+    ground = floor_with_a_bed(unseen_left=False)
+    ground.region[:, 35:] = 1
+    ground.frontier[30:33, 15] = ground.frontier[5:8, 37] = True
+    pose = np.array([1.5, 0.0])
+    here = Here(pose, 0.0, ground, ground.ways_from(*pose))
+    sink = Phrase("sink", room=Place("kitchen"))
+    for been, known in ((set(), True), ({0}, False)):
+        explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
+        explorer.been |= been
+        place = explorer.unseen(sink, here)
+        assert place is not None
+        assert (place[1] < 1.0) == known
+
+
+def test_it_guesses_nothing_about_a_room_that_it_has_not_found(made: tuple[Export, Path], views: SceneViews) -> None:
+    for task in made[0].tasks("train"):
+        view = views(str(task.axes["scene"]))
+        eyes = Eyes(view.scene, view.renderer, LookerConfig())
+        eyes.begin(0, "")
+        look = eyes(task.start, heading_of(task.start_rotation))
+        first = task.program.conditions[task.program.branches[0].condition]
+        if first.room.label not in look.rooms.values():
+            break
+    else:
+        pytest.fail("each first condition is about a room in view")
+    looker = Looker(task.text, 500, LookerConfig(patience=0.0))
+    looker.act(np.zeros(3), 0.0, lambda: look, False)
+    assert not looker.verdicts
 
 
 def test_only_floor_around_the_anchor_is_explored_for_a_closer_thing() -> None:
