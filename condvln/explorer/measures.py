@@ -293,11 +293,13 @@ def _closest_call(predicate: str, pair: Sequence[Criterion], truth: bool) -> tup
 
 def _sentence(predicate: str, pair: Sequence[Criterion], k: int, truth: bool) -> str:
     one = pair[k]
-    sides = [f"{'' if side else 'not '}{predicate} is {one.bound(side)}" for side in (True, False) if one.bound(side)]
+    sides = [
+        f"“{'' if side else 'not '}{predicate}” needs {one.bound(side)}" for side in (True, False) if one.bound(side)
+    ]
     margin = one.written(one.margin(truth))
-    says = f"{one.name} {one.written(one.shown)}; {', '.join(sides)}; so {str(truth).lower()}, by {margin}"
+    says = f"{one.name} {one.written(one.shown)}; {', '.join(sides)}; so it is {str(truth).lower()}, by {margin}"
     if not truth and one.true is None:
-        says += f" ({predicate} would be: {pair[0].name} {pair[0].bound(True)})"
+        says += f" (“{predicate}” needs: {pair[0].name} {pair[0].bound(True)})"
     return says
 
 
@@ -307,6 +309,6 @@ def _undecided(predicate: str, pair: Sequence[Criterion], truth: bool) -> str:
     if truth:
         return "the boxes do not decide it; the source says so"
     if other >= -_TOLERANCE:
-        return f"{pair[k].name} {pair[k].written(pair[k].shown)}: {predicate}, but not of this name for certain"
+        return f"{pair[k].name} {pair[k].written(pair[k].shown)}: “{predicate}”, but not of this name for certain"
     one = pair[_closest_call(predicate, pair, False)[1]]
     return f"{one.name} {one.written(one.shown)}: between the bounds, so text says neither"

@@ -158,7 +158,7 @@ def test_a_condition_shows_its_witness_and_measure(page: Page, made: Run) -> Non
     assert f"|{used:.2f} m|" in shown
     verdict = page.one(".verdict").text
     assert verdict.startswith("✔ True: ")
-    assert re.search(r"so true, by \d+\.\d\d m\.$", verdict)
+    assert re.search(r"so it is true, by \d+\.\d\d m\.$", verdict)
     assert "Certificate, by other code: true; distance " in page.one(".proof").text
     page.hover("h1")
     assert page.all(".object.witness") == []
@@ -181,7 +181,7 @@ def test_a_false_condition_shows_its_nearest_rival_and_margin(page: Page, made: 
     assert margins == sorted(margins), "the nearest to being a witness comes first"
     verdict = page.one(".verdict").text
     assert verdict.startswith("✘ False: ")
-    assert f"so false, by {margins[0]:.2f} m" in verdict
+    assert f"so it is false, by {margins[0]:.2f} m" in verdict
     sql = f"""select subject, greatest(a.aabb_min.x - b.aabb_max.x, b.aabb_min.x - a.aabb_max.x, 0) as x,
         greatest(a.aabb_min.z - b.aabb_max.z, b.aabb_min.z - a.aabb_max.z, 0) as z, {quantity} from relations
         join objects a on a.object_id = subject and a.scene_id = relations.scene_id and a.source = relations.source

@@ -43,8 +43,8 @@ def test_a_false_near_says_by_how_much() -> None:
     lamp, bed = thing("lamp", (0, 0, 0), (0.2, 1, 0.2)), thing("bed", (2.81, 0, 0), (4, 0.5, 2))
     found = decided("near", measured("near", lamp, bed), False)
     assert found["says"] == (
-        "distance on the ground 2.61 m; not near is at least 2.25 m; so false, by 0.36 m "
-        "(near would be: distance at most 0.50 m)"
+        "distance on the ground 2.61 m; “not near” needs at least 2.25 m; so it is false, by 0.36 m "
+        "(“near” needs: distance at most 0.50 m)"
     )
     assert (found["margin"], found["unit"]) == (0.36, "m")
     assert [one["name"] for one in found["criteria"] if one["decides"]] == ["distance on the ground"]
@@ -53,7 +53,9 @@ def test_a_false_near_says_by_how_much() -> None:
 def test_a_true_near_is_as_safe_as_its_tightest_quantity() -> None:
     lamp, bed = thing("lamp", (0, 0.7, 0), (0.2, 1, 0.2)), thing("bed", (0.3, 0, 0), (4, 0.5, 2))
     found = decided("near", measured("near", lamp, bed, surface=0.45), True)
-    assert found["says"] == "distance between the surfaces 0.45 m; near is at most 0.50 m; so true, by 0.05 m"
+    assert (
+        found["says"] == "distance between the surfaces 0.45 m; “near” needs at most 0.50 m; so it is true, by 0.05 m"
+    )
     assert {one["name"]: one["value"] for one in found["criteria"]} == {
         "distance": 0.22,
         "distance between the surfaces": 0.45,
@@ -72,11 +74,15 @@ def test_what_lies_between_the_bounds_is_said_to_be_neither() -> None:
 def test_a_direction_and_a_support_have_their_units() -> None:
     cup, desk = thing("cup", (2, 0.8, 1), (2.1, 0.9, 1.1)), thing("desk", (0, 0, 0), (1, 0.75, 0.5))
     angle = decided("west of", measured("west of", cup, desk), False)
-    assert re.fullmatch(r"angle away from west 1\d\d\.\d°; west of is at most 15\.0°, .* by \d+\.\d°", angle["says"])
+    assert re.fullmatch(
+        r"angle away from west 1\d\d\.\d°; “west of” needs at most 15\.0°, .* by \d+\.\d°", angle["says"]
+    )
     on = decided("on", measured("on", cup, desk), False)
-    assert "distance between the footprints 1.12 m; not on is more than 0 m; so false, by 1.12 m" in on["says"]
+    assert (
+        "distance between the footprints 1.12 m; “not on” needs more than 0 m; so it is false, by 1.12 m" in on["says"]
+    )
     bottle = thing("bottle", (0.2, 0.75, 0.1), (0.3, 1, 0.2))
-    assert decided("on", measured("on", bottle, desk), True)["says"].endswith("so true, by 0.03 m")
+    assert decided("on", measured("on", bottle, desk), True)["says"].endswith("so it is true, by 0.03 m")
 
 
 def test_each_fact_of_text_has_a_margin() -> None:
@@ -102,7 +108,7 @@ def test_each_fact_of_text_has_a_margin() -> None:
                 bound = float(re.findall(r"[\d.]+", deciding["true" if truth else "false"])[0])
                 value = abs(deciding["value"]) if "within" in deciding["true"] and truth else deciding["value"]
                 assert found["margin"] == pytest.approx(abs(value - bound), abs=1e-9)
-                assert found["says"].split(" (")[0].endswith(f"so {str(truth).lower()}, by {written(found)}")
+                assert found["says"].split(" (")[0].endswith(f"so it is {str(truth).lower()}, by {written(found)}")
     assert all(
         tally[predicate, truth] for predicate in ("near", "on", "north of", "far from") for truth in (True, False)
     )
