@@ -16,6 +16,7 @@ import orjson
 from rich.console import Console
 
 from condvln.compiled import warm_up
+from condvln.formats.image_files import encoders
 from condvln.formats.streams import atomic_stream
 from condvln.manifest import manifest_lines, manifest_path
 from condvln.trajectories.cameras import Cameras, hub_cameras
@@ -44,7 +45,7 @@ from jobs.stages.trajectories import FrameStage, RecipeStage, WalkStage
 from jobs.store_lock import alone
 from jobs.trajectory_images import forget_damaged
 from jobs.trajectory_progress import Speed, plan_lines
-from jobs.trajectory_recipe import Comparison, recipe_target, recipe_units, scene_files
+from jobs.trajectory_recipe import Comparison, encoder_lines, recipe_target, recipe_units, scene_files
 from jobs.trajectory_request import STATE, Request, refuse_strangers, trajectory_config
 from jobs.trajectory_units import Target, estimate, find_target, list_units
 from jobs.workspace import git_revision, hasher
@@ -73,7 +74,7 @@ RECIPE: Final = "recipe"
 REF: Final = "trajectories"
 
 _STAGE_OF: Final = {"trajectories": "walks", "left_out": "walks", "poses": "frames"}
-_LIBRARIES: Final = ("numpy", "numba", "pillow", "pyarrow")
+_LIBRARIES: Final = ("isal", "numba", "numpy", "pillow", "pyarrow", "simplejpeg")
 """Libraries whose versions may change images or tables."""
 
 
@@ -102,7 +103,7 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
     hashes.save()
     refuse_export(work.target.export, folder)
     expected = estimate(work.units, work.cameras)
-    lines = plan_lines(expected, folder)
+    lines = plan_lines(expected, folder) + ([] if work.recipe is None else encoder_lines(work.recipe))
     if request.plan:
         return Report({"plan": asdict(expected)}, lines)
     for line in lines:
@@ -255,6 +256,7 @@ class _Run:
             "licences": terms,
             "scene_files": {unit.unit_id: scene_files(unit) for unit in work.units if unit.fault is None},
             "libraries": libraries,
+            "encoders": dict(encoders()),
         }
         with atomic_stream(self.folder / "README.md") as stream:
             stream.write(read_me(work.target.split, terms, RECIPE_FILES, images=keep).encode())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from condvln.formats.image_files import encoders, encoders_of
 from condvln.sources.source import HashFile
 from condvln.trajectories.hub import SceneWalks
 from condvln.trajectories.recipe import Recipe
@@ -14,7 +15,7 @@ from schemas.canonical import digest
 from schemas.errors import ProofError
 from schemas.trajectory_tables import TRAJECTORY_TABLES
 
-__all__ = ["Comparison", "recipe_target", "recipe_units", "scene_files"]
+__all__ = ["Comparison", "encoder_lines", "recipe_target", "recipe_units", "scene_files"]
 
 
 def recipe_target(recipe: Recipe, scenes: tuple[str, ...]) -> Target:
@@ -51,6 +52,20 @@ def scene_files(unit: Unit) -> str:
     """Return a hash over the source files of a scene."""
     own = [file for file in unit.inputs if not file.path.startswith(("manifest/", "recipe/"))]
     return digest([[file.path, file.size, file.sha256] for file in own])
+
+
+def encoder_lines(recipe: Recipe) -> list[str]:
+    """Return a sentence for each kind of image that another encoder, or another version, writes here than wrote the
+    recipe's: its files have other bytes.
+    """
+    theirs, ours = encoders_of(recipe.record.libraries, recipe.record.encoders), encoders()
+    kinds = sorted({name.partition(".")[0] for name in recipe.record.cameras})
+    suffixes = {"rgb": "jpg", "depth": "png"}
+    return [
+        f"{theirs[suffix]} wrote the {suffix} files of the recipe; {ours[suffix]} writes them here: bytes may differ"
+        for suffix in (suffixes[kind] for kind in reversed(kinds))
+        if theirs.get(suffix) != ours[suffix]
+    ]
 
 
 @dataclass
@@ -110,7 +125,7 @@ class Comparison:
         ]
         if other:
             lines.append(f"The recipe was made with {', '.join(other)}")
-        return lines
+        return lines + encoder_lines(self.recipe)
 
     @property
     def exit_code(self) -> int:

@@ -44,6 +44,7 @@ class RecipeRecord(BaseModel):
     """What ``trajectories.json`` says of how images are made.
 
     scene_files : hash over the source files of each scene, by ``<family>/<scene>``
+    encoders : what wrote the images, with its version, by suffix; empty in older records
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -55,6 +56,7 @@ class RecipeRecord(BaseModel):
     export_snapshot: str = ""
     scene_files: dict[str, str] = {}
     libraries: dict[str, str] = {}
+    encoders: dict[str, str] = {}
 
 
 class RecipeScene(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from condvln.episodes.view import SceneView
+from condvln.formats.image_files import encoders
 from condvln.manifest import manifest_lines
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sensors import Renderer, open_renderer
@@ -150,7 +151,7 @@ class FrameStage(Stage):
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     keep: bool = True
     name: str = "frames"
-    version: int = 2
+    version: int = 3
     tables: tuple[str, ...] = ("poses",)
     reads: tuple[str, ...] | None = ("steps",)
     reads_inputs: bool = True
@@ -159,6 +160,7 @@ class FrameStage(Stage):
         return {
             "cameras": {name: dump(camera) for name, camera in self.cameras.items()},
             "images": {key: getattr(self.config, key) for key in sorted(_IMAGE_KEYS)},
+            "encoders": dict(encoders()),
             **({} if self.keep else {"keep": False}),
         }
 

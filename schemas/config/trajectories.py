@@ -27,7 +27,7 @@ class TrajectoryConfig(Section):
     )
     seed: int = Field(0, ge=0, description="seed of mistakes, repetitions and sampled conditions")
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = Field(90, description="quality of JPEG images")
-    png_level: Annotated[int, Field(ge=0, le=9)] = Field(1, description="compression level of depth images")
+    png_level: Annotated[int, Field(ge=0, le=3)] = Field(1, description="compression level of depth images")
     least_actions: Annotated[int, Field(ge=1, json_schema_extra={"unit": "actions"})] = Field(
         4, description="minimum number of actions of a walk; StreamVLN's loader skips shorter walks"
     )

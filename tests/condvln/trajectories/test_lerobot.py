@@ -10,9 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from condvln.formats.image_files import jpeg, png16
 from condvln.trajectories import lerobot as layout
 from condvln.trajectories.hub import SceneWalks
-from condvln.trajectories.images import encode_depth, encode_rgb, image_path
+from condvln.trajectories.images import image_path
 from condvln.trajectories.tables import vector
 from schemas.config import CameraConfig
 from schemas.trajectory_tables import LEFT_OUT, POSES, TRAJECTORIES
@@ -38,7 +39,7 @@ def scene_of(folder: Path) -> SceneWalks:
             for camera in sorted(CAMERAS):
                 depth = camera.startswith("depth")
                 grey = np.full((6, 8, 3), 10 * number, np.uint8)
-                data = encode_depth(np.full((6, 8), 2.0, np.float32), 1) if depth else encode_rgb(grey, 90)
+                data = png16(np.full((6, 8), 2.0, np.float32), 1) if depth else jpeg(grey, 90)
                 path = image_path(name, camera, frame)
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_bytes(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from condvln.samples import make_samples
@@ -69,6 +71,7 @@ def test_images_unlike_the_recipe_are_counted(asked: Request, recipe: Path, tmp_
     rewrite(theirs, "poses", lambda found: found[3].update(sha256="0" * 64))
     record = json.loads((recipe / "trajectories.json").read_bytes())
     record["libraries"]["pillow"] = "1.0"
+    record["encoders"] = {"jpg": "simplejpeg 0.1", "png": record["encoders"]["png"]}
     (scene,) = {row["scene_id"] for row in poses}
     record["scene_files"][f"replicacad/{scene}"] = "0" * 64
     (theirs / "trajectories.json").write_text(json.dumps(record))
@@ -78,6 +81,57 @@ def test_images_unlike_the_recipe_are_counted(asked: Request, recipe: Path, tmp_
     assert report.document["scenes_unlike_the_recipe"] == [f"replicacad/{scene}"]
     assert poses[3]["image"] in "\n".join(report.lines)
     assert "pillow 1.0 (here" in "\n".join(report.lines)
+    assert [line for line in report.lines if line.startswith("simplejpeg 0.1 wrote the jpg files of the recipe")]
+    assert not [line for line in report.lines if "the png files" in line]
+
+
+def test_other_encoders_are_named_before_the_work_begins(asked: Request, recipe: Path, tmp_path: Path) -> None:
+    """A record that names no encoder is that of an older version, which wrote images with Pillow."""
+    theirs = tmp_path / "theirs"
+    shutil.copytree(recipe, theirs)
+    record = json.loads((recipe / "trajectories.json").read_bytes())
+    del record["encoders"]
+    record["libraries"]["pillow"] = "11.0"
+    (theirs / "trajectories.json").write_text(json.dumps(record))
+    report = make_trajectories(again(asked, theirs, tmp_path / "out", plan=True))
+    assert [line for line in report.lines if line.startswith("Pillow 11.0 wrote the jpg files of the recipe")]
+
+
+@pytest.mark.soak
+def test_images_of_another_encoder_are_compared_by_their_pixels(asked: Request, made: Path, tmp_path: Path) -> None:
+    """A folder of an older version, whose images Pillow wrote, is proven; another frame's image is a fault."""
+    out = tmp_path / "out"
+    out.mkdir()
+    record = json.loads((made / "trajectories.json").read_bytes())
+    del record["encoders"]
+    record |= {"layouts": ["streamvln"], "cameras": {"rgb": record["cameras"]["rgb"]}}
+    poses = [row for row in rows(made, "poses") if row["camera"] == "rgb"]
+    quality = record["config"]["jpeg_quality"]
+    for row in poses:
+        (out / row["image"]).parent.mkdir(parents=True, exist_ok=True)
+        with Image.open(made / row["image"]) as image:
+            image.save(out / row["image"], quality=quality)
+        data = (out / row["image"]).read_bytes()
+        row |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    for name in ("trajectories.parquet", "left_out.parquet", "annotations.json"):
+        shutil.copy(made / name, out)
+    schema = pq.read_schema(made / "poses.parquet")
+    (out / "trajectories.json").write_text(json.dumps(record))
+    pq.write_table(pa.Table.from_pylist(poses, schema=schema), out / "poses.parquet")
+    report = proven(asked, out, render_every=40)
+    assert report.document["faults"] == []
+    assert report.document["rendered"] > 10
+    # Two images that are rendered again, of one scene, are swapped.
+    again = [row for row in poses if int(hashlib.sha256(row["image"].encode()).hexdigest(), 16) % 40 == 0]
+    one, other = again[0], next(row for row in again if row["position"] != again[0]["position"])
+    for here, data in ((one, (out / other["image"]).read_bytes()), (other, (out / one["image"]).read_bytes())):
+        (out / here["image"]).write_bytes(data)
+        here |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    pq.write_table(pa.Table.from_pylist(poses, schema=schema), out / "poses.parquet")
+    found = proven(asked, out, render_every=40).document["faults"]
+    assert {(fault["trajectory"], fault["what"]) for fault in found} == {
+        (row["trajectory"], f"frame {row['frame']}, rgb: the pose shows another image") for row in (one, other)
+    }
 
 
 @pytest.mark.soak

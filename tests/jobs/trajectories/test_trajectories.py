@@ -16,10 +16,10 @@ import pytest
 from PIL import Image
 
 from condvln.evaluation.export_folder import open_export
+from condvln.formats.image_files import jpeg
 from condvln.navigation.follower import Follower
 from condvln.sensors import open_renderer
 from condvln.sources.registry import open_source
-from condvln.trajectories.images import encode_rgb
 from condvln.trajectories.walks import heading_of
 from jobs.trajectories import Request, make_trajectories, trajectory_config
 from schemas.errors import ProofError, UsageError
@@ -68,7 +68,7 @@ def test_the_images_are_what_the_renderer_draws(asked: Request, made: Path) -> N
         assert Image.open(made / row["image"]).size == (32, 24) == (row["width"], row["height"])
         place = [row["position"][axis] for axis in "xyz"]
         frame = renderers[row["scene_id"]].look(TINY, place, row["heading"])
-        assert encode_rgb(frame.rgb, WALKS.jpeg_quality) == data
+        assert jpeg(frame.rgb, WALKS.jpeg_quality) == data
         assert row["rotation"]["y"] == pytest.approx(math.sin(row["heading"] / 2))
 
 
