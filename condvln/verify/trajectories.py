@@ -379,7 +379,7 @@ def _shows(file: bytes, ours: bytes, shown: NDArray[np.int64]) -> bool:
     if found.ndim == 2 or found.shape != shown.shape:
         return bool(np.array_equal(found, shown))
     lost, least = (float(np.square(one - shown).mean()) ** 0.5 for one in (found, _pixels(ours)))
-    return lost <= 1.5 * least + 1
+    return bool(lost <= 1.5 * least + 1)
 
 
 def _point(row: Row) -> F64:
