@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 from condvln.episodes.candidates import Candidate
@@ -23,9 +24,6 @@ QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 
 PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "label_over_cap", "program_placed"})
 """Rejection reasons that may no longer apply after other episodes are dropped."""
-
-LATER: Final = "later"
-"""Internal state: the cell has enough leaves with this number of moves, so the candidate is tried after all others."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,7 +95,7 @@ def fill_pool(
     groups: int = 0,
     move_shares: Callable[[Category], Sequence[float]] | None = None,
 ) -> EpisodePool:
-    """Place candidates in order until every cell has the wanted number of episodes.
+    """Place candidates until every cell has the wanted number of episodes.
 
     Within a cell no gold index gets more than its equal share, so that the position of a leaf carries no information.
     `label_cap` limits the share of leaves with one target label, as far as possible (``label_share``); episodes dropped
@@ -109,8 +107,9 @@ def fill_pool(
     cells, groups : cells and number of counterfactual groups wanted of the scene
     names_compass : whether a program's text names the start heading
     observer : computes the observability; if None, none is recorded and no cell may ask for one
-    move_shares : wanted shares of leaves with 1, 2, … moves by category. Long routes are rejected more often, so no
-        number of moves gets more than its share of a cell while other candidates are left
+    move_shares : wanted shares of leaves with 1, 2, … moves by category. Long routes are rejected more often, so the
+        next candidate of a cell is always one that brings the cell's leaves nearest to these shares; None tries the
+        candidates in order
     """
     queue = list(candidates)
     members: defaultdict[str, list[Candidate]] = defaultdict(list)
@@ -175,15 +174,8 @@ class _Filling:
         self._seen: set[int] = set()
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates in order. A candidate is postponed if, with it, too large a share of the cell's leaves would
-        have the same number of moves. Then, where a cell is still short, place postponed candidates, those with the
-        fewest excess leaves first.
-        """
-        for one in tries:
-            one.refused = self._turned_away(one, most_of_label) or self._over_its_moves(one) or self._unplaceable(one)
-            if one.refused is None:
-                self._count(one, 1)
-        for one in sorted((one for one in tries if one.refused == LATER), key=self._beyond_its_moves):
+        """Place candidates, in the order of `_in_turn`."""
+        for one in self._in_turn(tries):
             one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
             if one.refused is None:
                 self._count(one, 1)
@@ -201,15 +193,14 @@ class _Filling:
         refilling = bool(dropped)
         while refilling:
             refilling = False
-            for one in tries:
-                if one.refused in PASSING:
-                    most = most_leaves(share, self._labels.total() + one.targets.total())
-                    reason = self._turned_away(one, most) or self._unplaceable(one)
-                    # A dropped episode keeps the reason "label_over_cap", even if its quota is full by now.
-                    one.refused = "label_over_cap" if reason and one.placement else reason
-                    if reason is None:
-                        self._count(one, 1)
-                        refilling = True
+            for one in self._in_turn([one for one in tries if one.refused in PASSING]):
+                most = most_leaves(share, self._labels.total() + one.targets.total())
+                reason = self._turned_away(one, most) or self._unplaceable(one)
+                # A dropped episode keeps the reason "label_over_cap", even if its quota is full by now.
+                one.refused = "label_over_cap" if reason and one.placement else reason
+                if reason is None:
+                    self._count(one, 1)
+                    refilling = True
 
     def pool(self, tries: Sequence[_Try]) -> EpisodePool:
         """Return the pool, with the observability of each episode."""
@@ -250,26 +241,35 @@ class _Filling:
             return "label_over_cap"
         return None
 
-    def _over_its_moves(self, one: _Try) -> str | None:
-        """Return `LATER` if `one` must be postponed, since with it too large a share of the quota cell's leaves would
-        have the same number of moves; else None.
+    def _in_turn(self, tries: Iterable[_Try]) -> Iterator[_Try]:
+        """Yield `tries` cell by cell, counterfactual groups first. Of a cell, each is the first of those that would
+        bring the numbers of moves of its leaves nearest to the wanted shares, given what the caller has placed so far.
         """
-        return LATER if self._beyond_its_moves(one) else None
+        cells: dict[InstructionCell | None, dict[tuple[tuple[int, int], ...], deque[_Try]]] = {None: {}}
+        for one in tries:
+            free = self._move_shares is not None and one.cell is not None and one.cell.moves is None
+            moves = tuple(sorted(one.moves.items())) if free else ()
+            cells.setdefault(one.cell, {}).setdefault(moves, deque()).append(one)
+        for cell, alike in cells.items():
+            while alike:
+                nearest = next(iter(alike))
+                if cell is not None and len(alike) > 1:
+                    nearest = min(alike, key=partial(self._distance, cell))
+                yield alike[nearest].popleft()
+                if not alike[nearest]:
+                    del alike[nearest]
 
-    def _beyond_its_moves(self, one: _Try) -> int:
-        """Return how many leaves of `one` would be too many in its quota cell. Leaves with the same number of moves are
-        limited to a share of the cell; leaves beyond this share are too many.
+    def _distance(self, cell: InstructionCell, moves: Iterable[tuple[int, int]]) -> float:
+        """Return how far the leaves of a cell are from the wanted shares, after leaves with `moves` are added: the sum,
+        over the numbers of moves, of squared numbers of leaves. The cell makes up for its part of the leaves of the
+        category's counterfactual groups. `moves` are pairs of a number of moves and a number of leaves.
         """
-        cell = one.cell
-        if self._move_shares is None or cell is None or cell.moves is not None:
-            return 0
-        grouped = self._group_moves[cell.category]
-        part = cell.count / self._free[cell.category]
-        wanted = cell.count * SHAPES[cell.category].leaves + part * grouped.total()
-        shares, taken = self._move_shares(cell.category), self._moves[cell]
-        # Rounded, so that with few leaves no number of moves gets one more than its share at the cost of another.
-        most = {n: math.floor(shares[n - 1] * wanted - part * grouped[n] + 0.5) for n in one.moves}
-        return sum(max(0, min(count, taken[n] + count - most[n])) for n, count in one.moves.items())
+        assert self._move_shares is not None
+        part, grouped = cell.count / self._free[cell.category], self._group_moves[cell.category]
+        shares, added = self._move_shares(cell.category), dict(moves)
+        held = [self._moves[cell][n] + part * grouped[n] + added.get(n, 0) for n in range(1, len(shares) + 1)]
+        leaves = sum(held)
+        return sum((count - share * leaves) ** 2 for count, share in zip(held, shares, strict=True))
 
     def _unplaceable(self, one: _Try) -> str | None:
         """Place all candidates in `one` from the same start, unless they are placed already. Return None, or the reason

@@ -224,7 +224,7 @@ class ProgramSampler:
             # Each leaf is gold as often as the others: the pool takes no more of one than of another.
             golds = golds or draws.sample(range(n_leaves), n_leaves)
             # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
-            shape = self._shape(cell, draws, golds.pop())
+            shape = self._shape(cell, draws, golds.pop(), self.sampling.drawn_move_shares(category))
             for stops in self._tries(cell, shape, used, cap, draws):
                 program = None
                 with self._counted(cell):
@@ -277,7 +277,10 @@ class ProgramSampler:
         unused: Counter[str] = Counter()
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
-            shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves))
+            # Placing takes the first groups that fit and can't choose among them by their moves, and it hardly rejects
+            # more of those with long routes. So the shares that are wanted are drawn.
+            shares = self.sampling.move_shares(cell.category)
+            shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves), shares)
             for stops in self._tries(None, shape, unused, self._most_goals(cell.category), draws):
                 group = None
                 with self._counted(None):
@@ -307,7 +310,10 @@ class ProgramSampler:
             raise GivenUp("no_twin")
         return group
 
-    def _shape(self, cell: InstructionCell, draws: Draws, gold: int) -> _Shape:
+    def _shape(self, cell: InstructionCell, draws: Draws, gold: int, moves: Sequence[float]) -> _Shape:
+        """Return a drawn shape for `cell`. `moves` are the shares of leaves with 1, 2, … moves, unless the cell says
+        their number.
+        """
         category, wanted = cell.category, cell.composition
         if wanted is None:
             weights = self.sampling.compositions
@@ -327,7 +333,7 @@ class ProgramSampler:
         bearings = cell.observability != "O0f"
         if cell.moves is not None:
             return _Shape(wanted, (cell.moves,) * n_leaves, bearings, gold)
-        shares = tuple(accumulate(self.sampling.drawn_move_shares(category)))
+        shares = tuple(accumulate(moves))
         return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
 
     def _draw(self, category: Category, shape: _Shape, found: DrawnStops, draws: Draws) -> Program:

@@ -238,7 +238,7 @@ class SamplingConfig(Section):
         (0.6, 0.4), description="shares of leaves with 1 and with 2 moves, in programs with four leaves"
     )
     moves_drawn: tuple[Share, Share, Share] = Field(
-        (0.28, 0.42, 0.3),
+        (0.27, 0.39, 0.34),
         description="shares as in moves, but among drawn candidates: candidates with long routes are "
         "rejected more often, so more of these are drawn than are wanted",
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from itertools import permutations
+from collections.abc import Iterable, Sequence
+from itertools import accumulate, permutations
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,12 @@ from condvln.episodes.pool import EpisodePool, fill_pool
 from condvln.episodes.rules import REASONS
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.view import SceneView
+from condvln.instructions.degeneracy import outcomes
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
+from condvln.seeding import Draws, generator
 from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig, TextConfig
-from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+from schemas.program import SHAPES, Category, Condition, Leaf, ObjectRef, Program, RoomRef
 from schemas.tables import EPISODES
 from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, placer_of
 
@@ -322,18 +324,61 @@ def test_a_cell_makes_up_for_the_moves_of_the_groups_of_its_category() -> None:
     assert moves(*group, *candidates) == {1: 8 + 6, 2: 14}
 
 
-def test_a_cell_that_stays_short_takes_what_exceeds_the_shares_least() -> None:
-    """Five programs with one move a leaf reach the share of one move. Of the others, those with one leaf too many come
-    before those with two, whatever their order.
-    """
+def test_a_cell_that_can_not_have_its_shares_comes_as_near_as_its_candidates_allow() -> None:
+    """All programs with a leaf of two moves are placed, wherever they are in the order, and others fill the cell."""
     cell = simple(count=10)
     things = [f"thing {k}" for k in range(40)]
     short = [asking(things[k], things[k + 1], "w", k % 4 == 0) for k in range(0, 20, 2)]
     mixed = [_with_waypoint(asking(things[k], things[k + 1], "w", k % 4 == 0), "w", 1) for k in range(20, 32, 2)]
-    candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*short, *mixed])]
-    pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: (0.5, 0.5, 0.0))
-    moves = Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
-    assert moves == {1: 15, 2: 5}
+    for programs in ([*short, *mixed], [*mixed, *short]):
+        candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate(programs)]
+        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: (0.5, 0.5, 0.0))
+        assert Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves) == {1: 14, 2: 6}
+
+
+def _with_moves(category: Category, moves: Sequence[int], gold: int, name: str) -> Program:
+    """A program whose leaves have these numbers of moves; all its objects are its own."""
+
+    def thing(what: str) -> ObjectRef:
+        return ObjectRef(object_id=f"{name} {what}", label=f"{name} {what}", room=ZONE)
+
+    shape = SHAPES[category]
+    truths = next(t for t, leaf in outcomes(category).items() if leaf == gold)
+    conditions = (
+        Condition(label=f"{name} {k}", room=ZONE, truth=truth, witnesses=(f"{name} {k}",) if truth else ())
+        for k, truth in enumerate(truths)
+    )
+    leaves = (Leaf(moves=tuple(thing(f"{k}/{n}") for n in range(count))) for k, count in enumerate(moves))
+    return Program(category=category, conditions=tuple(conditions), branches=shape.branches, leaves=tuple(leaves))
+
+
+@pytest.mark.parametrize(
+    ("category", "asked", "drawn"),
+    [
+        ("simple", (0.4, 0.4, 0.2), (0.28, 0.42, 0.3)),
+        ("nested", (0.4, 0.4, 0.2), (0.28, 0.42, 0.3)),
+        ("chain", (0.4, 0.4, 0.2), (0.5, 0.35, 0.15)),
+        ("deep_nested", (0.6, 0.4), (0.5, 0.5)),
+    ],
+)
+def test_over_many_scenes_leaves_have_the_asked_shares_whatever_is_drawn(
+    category: Category, asked: tuple[float, ...], drawn: tuple[float, ...]
+) -> None:
+    """Candidates are taken for the moves of their leaves, so that what is left at the end still fits."""
+    cell = InstructionCell(category=category, count=12)
+    leaves, sums, total = SHAPES[category].leaves, tuple(accumulate(drawn)), Counter[int]()
+    for scene in range(60):
+        draws = Draws(generator(0, category, scene))
+        candidates = []
+        for k in range(60):
+            moves = [1 + draws.cumulative(sums) for _ in range(leaves)]
+            candidates.append(Candidate(f"{k}", _with_moves(category, moves, k % leaves, f"{k}"), cell))
+        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: asked)
+        held = Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
+        assert held.total() == 12 * leaves
+        assert all(abs(held[n] - share * held.total()) < 3 for n, share in enumerate(asked, 1))
+        total += held
+    assert [total[n] / total.total() for n in range(1, len(asked) + 1)] == pytest.approx(asked, abs=0.015)
 
 
 def _with_waypoint(program: Program, name: str, leaves: int = 2) -> Program:
