@@ -408,6 +408,22 @@ def test_relations_are_readable_at_any_width(page: Page, made: Run) -> None:
         assert page.run(words) == [], width
 
 
+def test_evidence_and_differences_are_readable_at_any_width(page: Page, made: Run) -> None:
+    fits = """return [...document.querySelectorAll('.stacked .scroll, .stacked td, .stacked tbody th')]
+        .filter((node) => node.scrollWidth > node.clientWidth + 1).map((node) => node.textContent)"""
+    name, k = relational(made, False)
+    for width in (1280, 390):
+        page.size(width)
+        for address in (f"#/episode/{name}?mark={'ABCDEFGH'[k]}", "#/agents"):
+            page.open(address)
+            assert page.all(".stacked td")
+            assert page.run(fits) == [], (width, address)
+    page.open(f"#/episode/{name}")
+    tops = page.run("""return ['instruction', 'plan', 'tree']
+        .map((name) => [name, document.querySelector(`.${name}`).getBoundingClientRect().top])""")
+    assert [kind for kind, _ in sorted(tops, key=lambda one: one[1])] == ["instruction", "plan", "tree"]
+
+
 def test_a_broken_address_says_so(page: Page) -> None:
     for address in ("#/episode/0", "#/scene/no%2Fwhere", "#/group/77777", "#/constructor", "#/views"):
         page.open(address)

@@ -73,7 +73,7 @@
         return [axis === "all" ? link(label, "browse", { split: table.split }) : AXES[axis] ? link(label, "browse", asked) : label, ...numbers];
       });
       const heads = [`#SR of ${first}`, `#SR of ${second}`, ...table.headings.slice(6)];
-      return element("div", { "data-split": table.split, class: "stacked" },
+      return element("div", { "data-split": table.split, class: "stacked one" },
         explorer.table(`How much better ${first} is than ${second} (${table.split}), in percentage points`, ["episodes", ...heads], rows, "differences"),
         element("p", { class: "note" }, table.note));
     });

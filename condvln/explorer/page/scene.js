@@ -123,7 +123,7 @@
       draw();
     } }, element("option", { value: "" }, "all storeys"), levels.map((level) => element("option", { value: level }, `storey ${level}`))) : null;
     main.replaceChildren(element("h1", {}, `Scene ${name}`),
-      element("p", {}, `${count(entry.rooms)} rooms, ${count(entry.objects)} objects, `, link(`${count(entry.episodes)} episodes`, "browse", { scene: name })),
+      element("p", {}, `${count(entry.rooms)} ${entry.rooms === 1 ? "room" : "rooms"}, ${count(entry.objects)} objects, `, link(`${count(entry.episodes)} episodes`, "browse", { scene: name })),
       element("div", { class: "episode" }, element("div", { class: "left" }, holder, element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), storey),
         element("ul", { class: "legend" }, [["chosen", "chosen"], ["witness", "near it"], ["anchor", "in or on it, or it is in or on that"], ["hidden", "hidden in something shut"], ["unseen-key", "not seeable enough for text"]].map(([kind, text]) =>
           element("li", {}, element("span", { class: `key ${kind}` }), text)))),
