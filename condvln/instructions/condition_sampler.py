@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.degeneracy import Claim
-from condvln.instructions.kernels.conditions import RULES, draw_conditions, rules_of_places
+from condvln.instructions.kernels.conditions import NOTHING, RULES, draw_conditions, rules_of_places
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
 from condvln.instructions.rejection import GivenUp
@@ -136,6 +136,25 @@ class ConditionSampler:
         return tuple(
             self._condition(names[rooms[room]], pool, truth, place)
             for truth, (room, pool, place) in zip(truths, drawn, strict=True)
+        )
+
+    def is_left_by(self, room_id: str, stop: tuple[str, str]) -> bool:
+        """Return whether any condition can be asked about a room in a text with a certain stop: the statements of some
+        form or kind are not all about the stop.
+
+        stop : (room id, label) of the stop
+        """
+        numbered, pool = self._numbered, self._rooms[room_id].pool
+        given = numbered.given([ObjectRef(object_id="", label=stop[1], room=RoomRef(room_id=stop[0], label=""))])
+        room, nothing_said = numbered.room(room_id), numbered.claims(())
+        own = [*pool.relations.values(), *([pool.presence] if pool.presence else [])]
+        return any(
+            all(
+                (rules_of_places(nothing_said, room, NOTHING, number, truth, given, numbered.tables) < 0).any()
+                for truth in (0, 1)
+            )
+            for number, statements in enumerate(numbered.pools)
+            if any(statements is one for one in own)
         )
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:

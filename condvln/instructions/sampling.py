@@ -166,6 +166,7 @@ class ProgramSampler:
             {room_id: self.referents[room_id].room.label for room_id in sorted(self._names)},
             [room_id for room_id in self._names if self._is_plain(room_id)],
             self.condition_sampler.rooms,
+            self.condition_sampler.is_left_by,
         )
         self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
         self._known_names: dict[tuple[str, str | None, str, bool], _Names] = {}

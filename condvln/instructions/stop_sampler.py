@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import accumulate
 from typing import Final
 
@@ -49,6 +50,7 @@ class StopSampler:
     types : type of each room that has a name, by room id
     plain : ids of the rooms that are named by their label alone
     asked : ids of the rooms about which conditions can be asked
+    is_left_by : whether a room can still be asked about, by its id, if a text has a stop, by its room id and label
 
     Attributes
     ----------
@@ -56,7 +58,14 @@ class StopSampler:
     kinds : number of types of rooms
     """
 
-    def __init__(self, found: Targets, types: Mapping[str, str], plain: Collection[str], asked: Sequence[str]) -> None:
+    def __init__(
+        self,
+        found: Targets,
+        types: Mapping[str, str],
+        plain: Collection[str],
+        asked: Sequence[str],
+        is_left_by: Callable[[str, tuple[str, str]], bool],
+    ) -> None:
         self._targets, self._asked, self._room_ids = found.targets, tuple(asked), tuple(types)
         numbers = {room: k for k, room in enumerate(types)}
         kinds = {kind: k for k, kind in enumerate(dict.fromkeys(types.values()))}
@@ -79,6 +88,7 @@ class StopSampler:
             order=np.arange(len(weights), dtype=np.int64),
             weights=np.array(tuple(weights.values()), np.float64),
             held=self._room_of[None] == np.arange(len(types))[:, None],
+            spoiling=self._spoiling(types, asked, is_left_by),
             asked=asked_numbers,
             asked_sums=self._preferences(asked_numbers),
             by_type=np.argsort(type_of, kind="stable").astype(np.int64),
@@ -89,6 +99,20 @@ class StopSampler:
             answers=np.zeros(ANSWERS_KEPT, bool),
         )
         self._known_roomy: dict[tuple[int, int], tuple[I64, NDArray[np.float64]]] = {}
+
+    def _spoiling(
+        self, types: Iterable[str], asked: Sequence[str], is_left_by: Callable[[str, tuple[str, str]], bool]
+    ) -> NDArray[np.bool_]:
+        """Return a mask (r, t) of the targets that leave nothing to ask about a room, by room: all targets, if nothing
+        is asked about the room in any case.
+        """
+        rows = []
+        for room_id in types:
+            leaves = cache(partial(is_left_by, room_id))
+            rows.append(
+                [room_id not in asked or not leaves((target.room_id, target.label)) for target in self._targets]
+            )
+        return np.array(rows, bool).reshape(len(rows), len(self._targets))
 
     def fits(self, leaves: int) -> bool:
         """Return whether the scene has targets for so many leaves."""

@@ -87,10 +87,11 @@ class SceneReferents:
         else:
             self.hidden, self.said, self.astride = labels.hidden, labels.said, labels.astride
         astride = self.astride
+        types = self._room_types(held)
         self.rooms = {
             room.room_id: RoomView(
                 room,
-                self.meaning.room_type(room.raw_label, scene.family),
+                types[room.room_id],
                 held[room.room_id],
                 scene.family,
                 self.meaning,
@@ -115,6 +116,27 @@ class SceneReferents:
 
     def _label(self, item: SceneObject) -> str:
         return self.meaning.label(item.raw_label, self.scene.family, model_of(item))
+
+    def _room_types(self, held: Mapping[str, Sequence[SceneObject]]) -> dict[str, str]:
+        """Return the type of each room: that of the source, or what shows in the room's objects if the source has no
+        word for the room. Only scans of Matterport3D have such rooms.
+        """
+        types = {room.room_id: self.meaning.room_type(room.raw_label, self.scene.family) for room in self.scene.rooms}
+        if self.scene.family != "mp3d":
+            return types
+        unnamed = {
+            room_id: [self._label(item) for item in held[room_id]]
+            for room_id, label in types.items()
+            if self.meaning.any_room(label)
+        }
+        for around in (None, types):
+            shown = {
+                room_id: self.meaning.shown_types(labels, None if around is None else frozenset(around.values()))
+                for room_id, labels in unnamed.items()
+                if self.meaning.any_room(types[room_id])
+            }
+            types.update({room_id: next(iter(found)) for room_id, found in shown.items() if len(found) == 1})
+        return types
 
     def is_structure(self, item: SceneObject) -> bool:
         """Return whether an object is structure, such as a wall or floor."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -84,6 +84,7 @@ class Words:
     roles: Mapping[str, frozenset[str]]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
+    _contents: tuple[tuple[str, str, int, str], ...]
     _by_word: Mapping[str, str]
     _room_by_word: Mapping[str, str]
 
@@ -137,6 +138,18 @@ class Words:
         listed = _listed(self._room_types, raw, family)
         return listed if listed is not None else self._room_by_word.get(folded(raw), folded(raw))
 
+    def shown_types(self, things: Sequence[str], around: Set[str] | None = None) -> frozenset[str]:
+        """Return the room types that show in the labels `things` of what a room holds.
+
+        around : types of the scene's rooms, for the types that show only beside a room of another type; None for all
+            other types
+        """
+        return frozenset(
+            to
+            for to, label, least, beside in self._contents
+            if things.count(label) >= least and (beside in around if around is not None else not beside)
+        )
+
 
 @cache
 def words() -> Words:
@@ -173,6 +186,9 @@ def words() -> Words:
         roles=_roles(),
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
+        _contents=tuple(
+            (row["room_type"], row["label"], int(row["least"]), row["beside"]) for row in _rows("room_contents.csv")
+        ),
         _by_word=_unambiguous(said),
         _room_by_word=_unambiguous(room_words),
     )

@@ -32,7 +32,7 @@ class SceneStage(Stage):
     agent: AgentConfig
     limits: LimitsConfig
     name: str = "scene"
-    version: int = 9
+    version: int = 10
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 

@@ -46,6 +46,7 @@ class TargetTables(NamedTuple):
     members (t,), spans (l, 2) : the targets by label, ascending; where a label's targets begin and end
     order (l,) : the labels in the order in which they are drawn from, weights (l,) : their weights in this order
     held (r, t) : the targets of each room
+    spoiling (r, t) : the targets that leave nothing to ask about the room
     asked (a,), asked_sums (a,) : rooms about which conditions can be asked, and their running weights
     by_type (r,), type_of (r,) : the rooms, sorted by type; the type of each room
     plain (r,) : the room is named by its label alone
@@ -62,6 +63,7 @@ class TargetTables(NamedTuple):
     order: Longs
     weights: Doubles
     held: Bools
+    spoiling: Bools
     asked: Longs
     asked_sums: Doubles
     by_type: Longs
@@ -395,6 +397,16 @@ def _running(weights: Doubles) -> Doubles:
 
 
 @compiled
+def _leave_to_ask(rooms: Longs, tables: TargetTables, held: Bools) -> None:
+    """Remove from `held` the targets that leave nothing to ask about any of the `rooms`."""
+    for target in range(len(held)):
+        spoils = True
+        for room in rooms:
+            spoils &= tables.spoiling[room, target]
+        held[target] &= not spoils
+
+
+@compiled
 def draw_stops(
     tries: int,
     counts: Longs,
@@ -449,6 +461,7 @@ def draw_stops(
             if rooms[0] == NONE:
                 failures[NO_WAYPOINT if waypoints else NO_TARGETS] += 1
                 continue
+        _leave_to_ask(rooms[1 : 1 + rooms[0]], tables, held)
         failed = _draw_goals(n, waypoints, held, sums, labels, drawable, tables, stream, left, goals)
         if failed == NONE:
             failed = _draw_leaves(counts, held, goals, room_of, waypoint_sums, tables, stream, left, stops)
@@ -463,7 +476,7 @@ def _warm_up() -> None:
     span = np.array([[0, 1]])
     digests = np.zeros((1, 4), np.int64), np.zeros((1, 2), np.int64), np.zeros(1, bool)
     places = (numbers, one, numbers, numbers, mask[0])
-    tables = TargetTables(mask, mask, mask[0], numbers, numbers, span, numbers, one, mask, *places, *digests)
+    tables = TargetTables(mask, mask, mask[0], numbers, numbers, span, numbers, one, mask, mask, *places, *digests)
     fits(mask[0], mask[0], 1, 0, tables)
     counts, stops = np.ones(2, np.int64), np.zeros((2, MOST_MOVES), np.int64)
     left, failures, rooms = np.array([8, 0]), np.zeros(len(FAILURES), np.int64), np.zeros(3, np.int64)

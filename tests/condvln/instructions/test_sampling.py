@@ -374,6 +374,37 @@ def test_what_navigation_knows_is_kept_to(make_scene, facts_maker) -> None:
         assert all(apart[row[a], row[b]] for k, a in enumerate(goals) for b in goals[:k])
 
 
+def test_stops_that_leave_nothing_to_ask_are_known(make_scene, facts_maker) -> None:
+    """With four things in a room, sometimes one of them is in every statement that may be true, or false."""
+    found = kept = 0
+    for seed in range(8):
+        scene = make_scene(seed, ("kitchen", "living room"), 4, repeats=0.0)
+        bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+        sampler = made_sampler(scene, facts_maker(scene), bits)
+        rooms = sorted(sampler._names)
+        for room_id in sampler.condition_sampler.rooms:
+            spoiling = sampler.stop_sampler._tables.spoiling[rooms.index(room_id)]
+            pool = sampler.condition_sampler._rooms[room_id].pool
+            kinds = [*pool.relations.values(), *([pool.presence] if pool.presence else [])]
+            targets = sampler.stop_sampler._targets
+            for k, target in ((k, target) for k, target in enumerate(targets) if target.room_id == room_id):
+                meant = vocabulary.overlapping(target.label)
+                about_it = [
+                    any(
+                        meant.issuperset(kind.question(truth, k).label for k in range(len(kind.sums[truth])))
+                        for truth in (True, False)
+                    )
+                    for kind in kinds
+                ]
+                spoils = bool(spoiling[k])
+                # Other rules, such as that a stop's name gives a condition away, may spoil as well.
+                assert spoils or not all(about_it)
+                found += all(about_it)
+                kept += not spoils
+    assert found >= 2
+    assert kept > 10
+
+
 def test_a_scene_with_nothing_to_tell_apart_yields_nothing_and_says_so(make_scene, facts_maker) -> None:
     scene = make_scene(0, ("apartment",), 3)
     same = replace(scene, objects=tuple(replace(o, label="chair") for o in scene.objects))

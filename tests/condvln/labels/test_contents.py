@@ -1,0 +1,58 @@
+"""A room without a type of its own has the type that shows in what it holds; the verifier decides the same."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from condvln.labels import vocabulary
+from condvln.labels.contents import types_by_contents
+from condvln.verify.words import words
+
+PEWS = ("pew",) * 3
+HELD = st.lists(st.sampled_from(["pew", "altar", "toilet", "treadmill", "sink", "bed"]), max_size=8)
+TYPES = st.sampled_from(["other room", "nave", "kitchen", "unlabelled room"])
+
+
+@pytest.mark.parametrize(
+    ("types", "held", "expected"),
+    [
+        (("other room",), (PEWS,), ("nave",)),
+        (("other room",), (PEWS[1:],), ("other room",)),
+        (("lounge",), (PEWS,), ("lounge",)),
+        (("other room", "other room"), (PEWS, ("altar", "altar")), ("nave", "chancel")),
+        # Without a nave it is any room with an altar, perhaps a shrine at home.
+        (("other room", "kitchen"), (("altar",), PEWS), ("other room", "kitchen")),
+        (("other room",), (("toilet", "sink"),), ("bathroom",)),
+        (("other room",), (("toilet", "washing machine"),), ("other room",)),
+        (("other room",), ((),), ("other room",)),
+    ],
+)
+def test_types_show_in_contents(
+    types: tuple[str, ...], held: tuple[tuple[str, ...], ...], expected: tuple[str, ...]
+) -> None:
+    names = [f"r{k}" for k in range(len(types))]
+    found = types_by_contents(dict(zip(names, types, strict=True)), dict(zip(names, held, strict=True)), vocabulary)
+    assert tuple(found.values()) == expected
+
+
+def test_every_type_and_label_of_the_table_is_in_the_vocabulary() -> None:
+    for room_type, label, least, beside in words()._contents:
+        assert vocabulary.room(room_type).fit_for_text
+        assert not vocabulary.room(room_type).general
+        assert vocabulary.fit_for_text(label)
+        assert least >= 1
+        assert not beside or beside in vocabulary.room_labels
+
+
+@given(st.lists(st.tuples(TYPES, HELD), min_size=1, max_size=4))
+def test_rooms_with_a_type_keep_it_and_order_does_not_matter(rooms: list[tuple[str, list[str]]]) -> None:
+    types = {f"r{k}": room_type for k, (room_type, _) in enumerate(rooms)}
+    held = {f"r{k}": labels for k, (_, labels) in enumerate(rooms)}
+    found = types_by_contents(types, held, vocabulary)
+    assert all(found[name] == room_type for name, room_type in types.items() if room_type != "other room")
+    turned = types_by_contents(
+        dict(reversed(types.items())), {name: labels[::-1] for name, labels in held.items()}, vocabulary
+    )
+    assert turned == found
