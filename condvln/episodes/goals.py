@@ -145,7 +145,8 @@ def goal_points(
     for offsets, reach in ((near_rings(rules), rules.reach), (far_rings(rules), rules.reach_at_most)):
         found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, places, obstacles, view)
         if len(found):
-            return _spread(found, box, rules.points)
+            detour = FURNITURE_DETOUR if view is not None and view.walls_known else WALL_DETOUR
+            return _spread(found, box, rules.points, pathfinder, box.half_perimeter + detour)
     return np.empty((0, 3))
 
 
@@ -212,11 +213,7 @@ def _standing_places(
     if not len(points):
         return points
     order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
-    points = points[order]
-    walk = pathfinder.geodesic_distances(points[0], points)
-    detour = FURNITURE_DETOUR if view is not None and view.walls_known else WALL_DETOUR
-    same_side = walk <= box.half_perimeter + detour
-    return np.asarray(points[same_side], dtype=np.float64)
+    return np.asarray(points[order], dtype=np.float64)
 
 
 def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:
@@ -229,17 +226,32 @@ def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfi
     return seen
 
 
-def _spread(points: F64, box: Footprint, count: int) -> F64:
+def _spread(points: F64, box: Footprint, count: int, pathfinder: PathfinderProtocol, limit: float) -> F64:
     """Choose up to `count` of `points` that are spread out, and return them sorted by distance to `box`. The first of
     `points` is always chosen, then repeatedly the point farthest from all points chosen before (the earliest on ties).
+    Points whose geodesic distance from the first one is above `limit` metres are never chosen: a wall lies between.
+    """
+    ways = np.full(len(points), np.nan)  # geodesic distances from the first point, where they are known
+    while True:
+        taken = _farthest(points, count, ways > limit)
+        unknown = [k for k in taken if np.isnan(ways[k])]
+        if not unknown:
+            break
+        ways[unknown] = pathfinder.geodesic_distances(points[0], points[unknown])
+    chosen = points[taken]
+    return np.asarray(chosen[np.argsort(box.distance(chosen), kind="stable")], dtype=np.float64)
+
+
+def _farthest(points: F64, count: int, excluded: NDArray[np.bool_]) -> list[int]:
+    """Return the indices of up to `count` of `points`: the first one, then repeatedly the one farthest from all before
+    that is not `excluded`.
     """
     taken = [0]
-    gap = np.linalg.norm(points - points[0], axis=1)
+    gap = np.where(excluded, -1.0, np.linalg.norm(points - points[0], axis=1))
     while len(taken) < min(count, len(points)):
         following = int(np.argmax(gap))
         if gap[following] < RING_SPACING:
             break
         taken.append(following)
         gap = np.minimum(gap, np.linalg.norm(points - points[following], axis=1))
-    chosen = points[taken]
-    return np.asarray(chosen[np.argsort(box.distance(chosen), kind="stable")], dtype=np.float64)
+    return taken

@@ -52,6 +52,7 @@ def _fitted(true: Bools, false: Bools, ways: Sequence[Sequence[int]]) -> dict[bo
     for kept in ways:
         tables = [true.astype(np.float64), false.astype(np.float64)]
         for _ in range(BALANCING_ROUNDS):
+            before = tables
             for axis in kept:
                 others = tuple(k for k in range(true.ndim) if k != axis)
                 sums = [t.sum(axis=others, keepdims=True) for t in tables]
@@ -60,6 +61,8 @@ def _fitted(true: Bools, false: Bools, ways: Sequence[Sequence[int]]) -> dict[bo
                     t * np.divide(target, s, out=np.zeros_like(s), where=s > 0)
                     for t, s in zip(tables, sums, strict=True)
                 ]
+            if all(map(np.array_equal, before, tables)):
+                break  # further rounds would change nothing
         if all(t.any() for t in tables):
             tables = [np.where(t < LEAST_WEIGHT * t.max(), 0.0, t) for t in tables]
             return {True: tables[0], False: tables[1]}

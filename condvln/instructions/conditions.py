@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.instructions.balance import balanced_weights, jointly_balanced_weights
-from condvln.instructions.informative import informative_weights
+from condvln.instructions.informative import informative_weights, statement_weights
 from condvln.instructions.predicates import ASKED, COMPASS
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
@@ -255,16 +255,19 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
     """
     room_type, own = referents.room.label, referents.arrays.labels
     tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
-    known, evidence = False, bits.evidence(room_type)
-    factors = [
-        bits.label_weights.get((room_type, label, truths.predicate, bool(definite)), (1.0, 1.0))
-        for label, definite in zip(truths.labels, truths.definite, strict=True)
-    ]
+    evidence, definite = bits.evidence(room_type), truths.definite.tolist()
+    forms = [(room_type, label, truths.predicate, one) for label, one in zip(truths.labels, definite, strict=True)]
+    factors = np.array([bits.label_weights.get(form, (1.0, 1.0)) for form in forms])
+    anchors = [truths.anchor_key(column, own) for column in range(len(truths.anchors))]
+    known = False
     for truth, support in ((True, truths.true), (False, truths.false)):
-        for row, column in np.argwhere(support):
-            form = (truths.predicate, truths.anchor_key(column, own), bool(truths.definite[row]))
-            key = (room_type, truths.labels[row], *form)
-            seen = bits.counts.get(key, (0, 0))
-            known |= sum(seen) >= evidence
-            tables[truth][row, column] = factors[row][truth] * informative_weights(*seen, evidence)[truth]
+        rows, columns = np.nonzero(support)
+        seen = [
+            bits.counts.get((room_type, truths.labels[row], truths.predicate, anchors[column], definite[row]), (0, 0))
+            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+        ]
+        if seen:
+            counts = np.array(seen, dtype=np.float64)
+            known |= bool((counts.sum(axis=1) >= evidence).any())
+            tables[truth][rows, columns] = factors[rows, int(truth)] * statement_weights(counts, evidence)[truth]
     return tables if known else None

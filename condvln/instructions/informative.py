@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from schemas.config.constants import EVIDENCE, STAGINGS
 
-__all__ = ["LabelForm", "informative_weights", "label_weights"]
+__all__ = ["LabelForm", "informative_weights", "label_weights", "statement_weights"]
 
 PSEUDOCOUNT: Final = 0.5
 """Added to both counts of a statement, so that few rooms don't count as certainty (Jeffreys' prior)."""
@@ -41,8 +41,16 @@ def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> 
     sampled as often true as false, and rarely if its truth hardly varies. Both weights are 0 if it did not vary in at
     least `evidence` rooms.
     """
-    true, false = _weights(np.array([float(n_true)]), np.array([float(n_false)]), np.array([evidence]))
-    return {True: float(true[0]), False: float(false[0])}
+    weights = statement_weights(np.array([[float(n_true), float(n_false)]]), evidence)
+    return {truth: float(weights[truth][0]) for truth in (True, False)}
+
+
+def statement_weights(counts: F64, evidence: int = EVIDENCE) -> dict[bool, F64]:
+    """Return what `informative_weights` returns, of n statements, (n,). `counts` (n, 2) has the numbers of rooms in
+    which each statement is true and in which it is false.
+    """
+    true, false = _weights(counts[:, 0], counts[:, 1], np.full(len(counts), evidence))
+    return {True: true, False: false}
 
 
 def _weights(n_true: F64, n_false: F64, evidence: NDArray[np.int64]) -> tuple[F64, F64]:

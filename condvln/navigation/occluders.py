@@ -178,9 +178,9 @@ class JoinedOccluders:
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
         """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`."""
-        out = self._mesh.hidden(eyes, points)
+        out = self._boxes.hidden(eyes, points, own)  # boxes first: they are faster
         left = np.flatnonzero(~out)
-        out[left] = self._boxes.hidden(eyes[left], points[left], None if own is None else own[left])
+        out[left] = self._mesh.hidden(eyes[left], points[left])
         return out
 
 
