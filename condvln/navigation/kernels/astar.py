@@ -32,6 +32,8 @@ class Search(NamedTuple):
     cost: Floats
     total: Floats
     position: Floats
+    remaining: Floats
+    """straight-line distance from the position to the goal"""
     heap: Indices
     corridor: Indices
     counters: Indices
@@ -48,6 +50,7 @@ def new_search(polygons: int) -> Search:
         np.empty(polygons, np.float32),
         np.empty(polygons, np.float32),
         np.empty((polygons, 3), np.float32),
+        np.empty(polygons, np.float32),
         np.empty(polygons + 1, np.int64),
         np.empty(MAX_CORRIDOR, np.int64),
         np.zeros(2, np.int64),
@@ -118,10 +121,11 @@ def edge_to(mesh: QueryMesh, poly: int, other: int) -> int:
 def place_at_edge(mesh: QueryMesh, search: Search, poly: int, other: int) -> None:
     """Set the position of the node ``other`` to the middle of the edge that ``poly`` shares with ``other``."""
     edge = edge_to(mesh, poly, other)
-    a = mesh.verts[mesh.poly_verts[poly, edge]]
-    b = mesh.verts[mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]]
-    for axis in range(3):
-        search.position[other, axis] = (a[axis] + b[axis]) * HALF
+    a = mesh.poly_verts[poly, edge]
+    b = mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]
+    search.position[other, 0] = (mesh.verts[a, 0] + mesh.verts[b, 0]) * HALF
+    search.position[other, 1] = (mesh.verts[a, 1] + mesh.verts[b, 1]) * HALF
+    search.position[other, 2] = (mesh.verts[a, 2] + mesh.verts[b, 2]) * HALF
 
 
 @compiled
@@ -151,9 +155,10 @@ def find_corridor(
     search.round[start] = this_round
     nodes = 1
     position[start, 0], position[start, 1], position[start, 2] = sx, sy, sz
+    search.remaining[start] = distance(sx, sy, sz, ex, ey, ez)
     parent[start] = -1
     cost[start] = ZERO
-    total[start] = distance(sx, sy, sz, ex, ey, ez) * HEURISTIC_SCALE
+    total[start] = search.remaining[start] * HEURISTIC_SCALE
     state[start] = OPEN
     push(search, start)
     reached = False
@@ -163,9 +168,11 @@ def find_corridor(
         if best == end:
             reached = True
             break
+        x, y, z = position[best, 0], position[best, 1], position[best, 2]
+        so_far, before = cost[best], parent[best]
         for edge in range(mesh.poly_size[best]):
             other = mesh.neighbours[best, edge]
-            if other < 0 or other == parent[best] or not mesh.walkable[other]:
+            if other < 0 or other == before or not mesh.walkable[other]:
                 continue
             if search.round[other] != this_round:
                 if nodes >= MAX_NODES:
@@ -174,15 +181,17 @@ def find_corridor(
                 search.round[other] = this_round
                 state[other] = 0
                 place_at_edge(mesh, search, best, other)
-            at = position[other]
-            step = distance(position[best, 0], position[best, 1], position[best, 2], at[0], at[1], at[2])
-            remaining = distance(at[0], at[1], at[2], ex, ey, ez)
+                ahead = distance(position[other, 0], position[other, 1], position[other, 2], ex, ey, ez)
+                search.remaining[other] = ahead
+            else:
+                ahead = search.remaining[other]
+            step = distance(x, y, z, position[other, 0], position[other, 1], position[other, 2])
             if other == end:
-                new_cost = cost[best] + step + remaining
+                new_cost = so_far + step + ahead
                 new_total = new_cost
             else:
-                new_cost = cost[best] + step
-                new_total = new_cost + remaining * HEURISTIC_SCALE
+                new_cost = so_far + step
+                new_total = new_cost + ahead * HEURISTIC_SCALE
             if state[other] != 0 and new_total >= total[other]:
                 continue
             parent[other] = best
