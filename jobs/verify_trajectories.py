@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
 from condvln.manifest import manifest_path, read_manifest
 from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import Scene
+from condvln.scene.geometry import SceneGeometry
 from condvln.sensors import Renderer, open_renderer
 from condvln.sources.source import Source, hash_file
+from condvln.verify.exploration import Onlooker
 from condvln.verify.trajectories import TrajectoryWorld, prove_trajectories
 from jobs.oracle import linear_text
 from jobs.pipeline import open_configured
@@ -42,6 +46,8 @@ def verify_trajectories(target: Target, folder: Path, *, render_every: int = REN
         f"{proof.walks:,} walks, {proof.frames:,} frames, {proof.images:,} images read, {proof.rendered:,} rendered "
         f"again: {len(proof.faults):,} faults"
     ]
+    if proof.looked_for:
+        lines.append(f"{proof.looked_for:,} conditions of exploration walks: their evidence was looked for again")
     lines += [f"{name}: {count:,} rows compared with the images and poses" for name, count in proof.layout_rows.items()]
     lines += [str(fault) for fault in proof.faults[:SHOWN]]
     if len(proof.faults) > SHOWN:
@@ -68,11 +74,24 @@ def trajectory_world(target: Target, render_every: int = RENDER_EVERY) -> Trajec
             preamble=bool(texts.get("preamble", True)),
         )
 
-    return TrajectoryWorld(episodes, text, NavmeshFolder(target.roots), _Renderers(target), render_every)
+    scenes, navmeshes = _Scenes(target), NavmeshFolder(target.roots)
+
+    @lru_cache(maxsize=2)
+    def onlooker(source: str, scene_id: str, navmesh: Pathfinder) -> Onlooker:
+        return Onlooker(*scenes.read(source, scene_id), navmesh)
+
+    return TrajectoryWorld(
+        episodes,
+        text,
+        navmeshes,
+        scenes.renderer,
+        lambda episode: onlooker(episode.source, episode.scene_id, navmeshes(episode)),
+        render_every,
+    )
 
 
-class _Renderers:
-    """Opens the renderers of scenes; the latest ones stay open."""
+class _Scenes:
+    """Reads scenes and their surfaces, and opens their renderers; the latest ones stay in memory."""
 
     _KEPT: Final = 2
 
@@ -82,22 +101,19 @@ class _Renderers:
         for source in target.config.sources:
             opened = open_configured(target.config, source, hash_file)
             self._sources.setdefault(source.family, []).append(opened)
-        self._open: OrderedDict[tuple[str, str], Renderer] = OrderedDict()
+        self.read = lru_cache(maxsize=self._KEPT)(self._read)
+        self._renderer = lru_cache(maxsize=self._KEPT)(lambda *name: open_renderer(*self.read(*name)))
 
-    def __call__(self, episode: ManifestEpisode) -> Renderer:
-        name = episode.source, episode.scene_id
-        if name not in self._open:
-            self._open[name] = self._opened(*name)
-            if len(self._open) > self._KEPT:
-                self._open.popitem(last=False)
-        return self._open[name]
+    def renderer(self, episode: ManifestEpisode) -> Renderer:
+        """Return the renderer of an episode's scene."""
+        return self._renderer(episode.source, episode.scene_id)
 
-    def _opened(self, family: str, scene_id: str) -> Renderer:
+    def _read(self, family: str, scene_id: str) -> tuple[Scene, SceneGeometry | None]:
         missing = MissingFileError("no source has this scene", where=f"{family}/{scene_id}")
         for source in self._sources.get(family, ()):
             try:
                 scene = source.read(scene_id)
-                return open_renderer(scene, source.geometry(scene))
+                return scene, source.geometry(scene)
             except MissingFileError as error:
                 missing = error
         raise missing

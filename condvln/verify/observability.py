@@ -36,7 +36,7 @@ from schemas.episode import Evidence, Observability
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Condition
 
-__all__ = ["Surfaces", "check_observability", "sight_of"]
+__all__ = ["Surfaces", "check_observability", "proofs_of", "sight_of"]
 
 F64 = NDArray[np.float64]
 
@@ -126,7 +126,7 @@ def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneRefer
     assert yaw is not None, "a start without a heading was rejected earlier"
     conditions = row.program.conditions
     told = [evidence for evidence in row.evidence or () if evidence.condition < len(conditions)]
-    proofs = [(evidence, _proofs(conditions[evidence.condition], referents)) for evidence in told]
+    proofs = [(evidence, proofs_of(conditions[evidence.condition], referents)) for evidence in told]
     return _Asked(row, certificate, yaw, eyes_at(row.start_position, eye_height), proofs)
 
 
@@ -135,7 +135,8 @@ def _ways(row: ManifestEpisode, eye_height: float) -> list[F64]:
     return [eyes_at(places, eye_height) for places in stands(paths)]
 
 
-def _proofs(condition: Condition, referents: SceneReferents) -> Proofs:
+def proofs_of(condition: Condition, referents: SceneReferents) -> Proofs:
+    """Return the alternative sets of targets that reveal whether a condition is true."""
     anchor: list[Sought] = [("thing", name) for name in condition.qualifier.anchor_ids] if condition.qualifier else []
     if condition.truth:
         return [[("thing", witness), *anchor] for witness in condition.witnesses]

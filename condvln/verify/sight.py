@@ -224,6 +224,22 @@ class Sight:
         where = self._where(sought)
         return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
 
+    def is_faced(self, sought: Sought, eyes: F64, headings: F64, angle: float) -> bool:
+        """Return whether enough points of a target are visible on a walk. A point counts if it is visible from any of
+        the eyes (n, 3), within a horizontal angle of `angle` degrees around the heading there (n,).
+        """
+        where = self._where(sought)
+        if where is None:
+            return False
+        facing = in_view(eyes, where.points, View(range=self._around.range, horizontal_fov=angle), headings)
+        some = np.flatnonzero(facing.any(axis=1))
+        if not len(some):
+            return False
+        self.look([(sought, eyes[some])])
+        rows = self._seen[sought]
+        seen: Bools = np.any([rows[eyes[at].tobytes()] & facing[at] for at in some], axis=0)
+        return where.is_seen(seen)
+
     def shares(self, sought: Sought, eyes: F64) -> list[float]:
         """Return the visible share of each of a target's sets of points: first of the points that this package chose
         itself, if there are any, then of the published points.

@@ -27,6 +27,7 @@ from condvln.formats.image_files import encoders, encoders_of, jpeg, png16
 from condvln.navigation.follower import STOP, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
+from condvln.verify.exploration import Onlooker
 from condvln.verify.training_layouts import prove_layouts
 from schemas.config import CameraConfig
 from schemas.errors import FormatError, MissingFileError
@@ -60,7 +61,7 @@ class TrajectoryWorld:
 
     episodes : the manifest's rows of the split, by episode id
     text : the instruction that a kind of walk of an episode has
-    pathfinder, renderer : of an episode's scene
+    pathfinder, renderer, onlooker : of an episode's scene
     render_every : of how many images one is rendered again; 0 for none
     """
 
@@ -68,19 +69,21 @@ class TrajectoryWorld:
     text: Callable[[ManifestEpisode, str], str]
     pathfinder: Callable[[ManifestEpisode], Pathfinder]
     renderer: Callable[[ManifestEpisode], Renderer]
+    onlooker: Callable[[ManifestEpisode], Onlooker]
     render_every: int = 50
 
 
 @dataclass
 class TrajectoryProof:
-    """How many walks, frames, images and layout rows were checked, how many images were rendered again, and which
-    faults were found.
+    """How many walks, frames, images and layout rows were checked, how many images were rendered again, of how many
+    conditions exploration walks had to see the evidence, and which faults were found.
     """
 
     walks: int = 0
     frames: int = 0
     images: int = 0
     rendered: int = 0
+    looked_for: int = 0
     layout_rows: dict[str, int] = field(default_factory=dict)
     faults: list[TrajectoryFault] = field(default_factory=list)
 
@@ -254,6 +257,8 @@ class _Frames:
         distances = pathfinder.distance_table(replay.positions[:count], _goals(walk)).min(axis=1)
         leaves = {leaf.leaf for leaf in episode.leaves}
         yield from self._decisions(episode)
+        if walk["kind"] == "exploration":
+            yield from self._evidence(episode, places, replay.headings[:count], proof)
         found: set[str] = set()
         for row in self._rows:
             frame = row["frame"]
@@ -295,6 +300,16 @@ class _Frames:
             yield "the conditions are not looked for in the order of the gold route"
         if self._walk["n_frames"] > episode.max_steps:
             yield f"the walk takes more actions than the episode allows: {episode.max_steps}"
+
+    def _evidence(self, episode: ManifestEpisode, places: F64, headings: F64, proof: TrajectoryProof) -> Iterator[str]:
+        """Yield the conditions of the gold route that the walk decides before it has seen their evidence. The frame to
+        which the last action of looking leads is the first one of the way to the leaf.
+        """
+        proof.looked_for += len(set(episode.program.route()[0]))
+        looked = len({row["frame"] for row in self._rows if row["looks_for"] is not None}) + 1
+        onlooker, angle = self._world.onlooker(episode), self._images["look_angle"]
+        for number in onlooker.unseen(episode, places[:looked], headings[:looked], angle):
+            yield f"condition {number} is decided before its evidence is seen"
 
     def _pose(self, row: Row, place: F64, heading: float, leaves: set[int]) -> Iterator[str]:
         frame = row["frame"]

@@ -43,6 +43,7 @@ def test_most_episodes_have_a_walk_and_all_are_proven(asked: Request, explored: 
     assert all(row["n_frames"] <= row["max_steps"] for row in made)
     report = proven(asked, explored, render_every=200)
     assert report.document["faults"] == []
+    assert report.document["looked_for"] >= len(made)
 
 
 def test_the_conditions_of_the_gold_route_are_looked_for_in_order(asked: Request, explored: Path) -> None:
@@ -107,3 +108,20 @@ def test_a_walk_that_decides_first_is_a_fault(asked: Request, explored: Path, tm
     report = proven(asked, tmp_path, render_every=0)
     assert report.exit_code == ProofError.exit_code
     assert {fault["trajectory"] for fault in report.document["faults"]} == {name}
+
+
+def test_a_walk_that_decides_without_looking_is_a_fault(asked: Request, explored: Path, tmp_path: Path) -> None:
+    """Each walk claims that it knew everything at the start: whoever had to look is found out, and nobody else."""
+    for name in ("trajectories.json", "trajectories.parquet", "left_out.parquet"):
+        (tmp_path / name).write_bytes((explored / name).read_bytes())
+    poses = rows(explored, "poses")
+    looked = {row["trajectory"] for row in poses if row["looks_for"] is not None}
+    gold = {row["trajectory"]: row["leaf"] for row in poses}
+    for row in poses:
+        row |= {"looks_for": None, "leaf": gold[row["trajectory"]]}
+    schema = pq.read_schema(explored / "poses.parquet")
+    pq.write_table(pa.Table.from_pylist(poses, schema=schema), tmp_path / "poses.parquet")
+    found = proven(asked, tmp_path, render_every=0).document["faults"]
+    assert len(looked) > 2
+    assert {fault["trajectory"] for fault in found} == looked
+    assert all("is decided before its evidence is seen" in fault["what"] for fault in found)
