@@ -142,9 +142,7 @@ def _export_work(request: Request, hashes: FileHashes) -> _Work:
     _refuse_unlicensed(request, (str(line.fields().get("source")) for line in lines))
     cameras = hub_cameras(request.camera, request.layouts, request.sweep)
     config = request.config
-    rendered = [kind for kind in config.walks if kind != "oracle"]
-    walks = sum(config.recoveries if kind == "recovery" else 1 for kind in rendered) or 1
-    units = list_units(target, cameras, float(walks), hasher(hashes))
+    units = list_units(target, cameras, config, hasher(hashes))
     stage = WalkStage(config, target.texts if "oracle" in config.walks else None, target.config.limits)
     return _Work(target, config, cameras, request.layouts, units, stage)
 

@@ -22,7 +22,7 @@ from factory.unit import InputFile, Unit
 from jobs.configuration import load_config
 from jobs.looker import datasets_of
 from jobs.pipeline import BYTES_BASE, open_configured, scene_payload
-from schemas.config import CameraConfig, Config, SourceConfig
+from schemas.config import CameraConfig, Config, SourceConfig, TrajectoryConfig
 from schemas.errors import InputError, MissingFileError, UsageError
 
 __all__ = [
@@ -48,6 +48,10 @@ STEPS_PER_METRE: Final = 6.0
 """Expected actions for each metre of a route, turns included."""
 LEAST_STEPS: Final = 8.0
 """Expected actions of a walk of no length."""
+LOOK_STEPS: Final = 25.0
+"""Expected actions for looking at the evidence of one condition of the gold route, with the way there and back. Means
+over made scenes of three families: 20 to 32.
+"""
 
 
 @dataclass(frozen=True)
@@ -122,20 +126,41 @@ def configured(scenes: Sequence[str]) -> Config:
 
 @dataclass
 class _Lines:
-    """The manifest lines of one scene's episodes."""
+    """The manifest lines of one scene's episodes.
+
+    metres, conditions : of the gold routes of all episodes together
+    """
 
     numbers: list[int] = field(default_factory=list)
     size: int = 0
     metres: float = 0.0
+    conditions: int = 0
     state: Any = field(default_factory=hashlib.sha256)
 
 
-def list_units(target: Target, cameras: Mapping[str, CameraConfig], walks: float, hash_file: HashFile) -> list[Unit]:
-    """List the scenes of the split as units.
+def _walks(kind: str, config: TrajectoryConfig) -> int:
+    """Return the number of walks of a kind for each episode."""
+    return config.recoveries if kind == "recovery" else 1
+
+
+def _frames(kind: str, config: TrajectoryConfig, found: _Lines) -> float:
+    """Return the expected number of frames of all walks of a kind in one scene."""
+    episodes = len(found.numbers)
+    frames = STEPS_PER_METRE * found.metres + LEAST_STEPS * episodes
+    if kind == "recovery":
+        # A mistake of mean length, and as many actions to undo it.
+        frames += (config.least_mistake + config.most_mistake) * episodes
+    elif kind == "exploration":
+        frames += LOOK_STEPS * found.conditions
+    return frames * _walks(kind, config)
+
+
+def list_units(
+    target: Target, cameras: Mapping[str, CameraConfig], config: TrajectoryConfig, hash_file: HashFile
+) -> list[Unit]:
+    """List the scenes of the split as units, with the walks of `config` as their expected cost.
 
     A scene that no source has, or that can't be listed, becomes a unit that holds its error.
-
-    walks : number of rendered walks for each episode
     """
     manifest = manifest_path(target.export, target.split)
     lines: defaultdict[tuple[str, str], _Lines] = defaultdict(_Lines)
@@ -147,7 +172,11 @@ def list_units(target: Target, cameras: Mapping[str, CameraConfig], walks: float
         found.state.update(hashlib.sha256(line.text).digest())
         length = fields.get("route_length")
         found.metres += float(length) if isinstance(length, int | float) else 0.0
+        evidence = fields.get("evidence")
+        found.conditions += len(evidence) if isinstance(evidence, list) else 1
     handles = scene_handles(target, {scene for _, scene in lines}, hash_file)
+    # An oracle walk has the images of the gold walk.
+    kinds = sorted({"gold" if kind == "oracle" else kind for kind in config.walks})
     units = []
     for (family, scene_id), found in sorted(lines.items()):
         units.append(
@@ -162,9 +191,9 @@ def list_units(target: Target, cameras: Mapping[str, CameraConfig], walks: float
                     "episodes": len(found.numbers),
                     "roots": [str(root) for root in target.roots],
                 },
-                walks * (STEPS_PER_METRE * found.metres + LEAST_STEPS * len(found.numbers)),
+                sum(_frames(kind, config, found) for kind in kinds),
                 cameras,
-                walks * len(found.numbers),
+                float(sum(_walks(kind, config) for kind in kinds) * len(found.numbers)),
             )
         )
     return units

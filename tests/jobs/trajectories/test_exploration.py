@@ -46,6 +46,15 @@ def test_most_episodes_have_a_walk_and_all_are_proven(asked: Request, explored: 
     assert report.document["looked_for"] >= len(made)
 
 
+def test_a_plan_expects_the_frames_of_looking(asked: Request, explored: Path, tmp_path: Path) -> None:
+    """Also of walks that are left out in the end: they are in the expectation, and not in the count."""
+    config = TrajectoryConfig(walks=("exploration",))
+    plan = make_trajectories(to(asked, tmp_path / "planned", config=config, plan=True)).document["plan"]
+    made, left_out = rows(explored, "trajectories"), rows(explored, "left_out")
+    frames = sum(row["n_frames"] for row in made) * (len(made) + len(left_out)) / len(made)
+    assert frames * 0.7 < plan["frames"] < frames * 1.4
+
+
 def test_the_conditions_of_the_gold_route_are_looked_for_in_order(asked: Request, explored: Path) -> None:
     export = open_export(asked.target, [Path(asked.scenes[0].partition("=")[2])])
     episodes = {int(episode.episode_id): episode for episode in export.episodes(asked.split)}
