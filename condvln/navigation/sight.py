@@ -38,11 +38,13 @@ class View:
     range : metres from the eye, inclusive
     horizontal_fov : degrees; 360 looks all around, else below 180
     vertical_fov : degrees below 180, of a level pinhole camera; None for no limit
+    pitch : degrees below 90 above and below level; None for no limit
     """
 
     range: float = 5.0
     horizontal_fov: float = 360.0
     vertical_fov: float | None = None
+    pitch: float | None = None
 
     def __post_init__(self) -> None:
         if not self.range > 0:
@@ -55,6 +57,9 @@ class View:
             raise UsageError(
                 f"the vertical field of view can't be {self.vertical_fov}°", remedy="Give less than 180, or none"
             )
+
+        if self.pitch is not None and not 0 < self.pitch < 90:
+            raise UsageError(f"the pitch can't be {self.pitch}°", remedy="Give less than 90, or none")
 
     @property
     def needs_heading(self) -> bool:
@@ -129,6 +134,10 @@ def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | 
     away = points[None] - eyes[:, None]
     with np.errstate(invalid="ignore", over="ignore"):
         inside: Flags = np.square(away).sum(axis=2) <= view.range**2
+    if view.pitch is not None:
+        with np.errstate(invalid="ignore"):
+            level = np.hypot(away[:, :, 0], away[:, :, 2])
+            inside &= np.abs(away[:, :, 1]) <= level * math.tan(math.radians(view.pitch))
     if not view.needs_heading:
         return inside
     if headings is None:

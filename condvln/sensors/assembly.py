@@ -30,6 +30,8 @@ NO_WALLS: Final = "incomplete: walls are unknown, so rooms are visible through t
 OWNERS_BY_BOX: Final = "instances: the scan's mesh has no object ids; a surface belongs to the smallest box around it"
 SIDES: Final = (0.86, 1.0, 0.72)
 """Brightness of the faces of a drawn box that face along x, y and z, so that its edges are visible."""
+OFF_FLOOR: Final = 0.15
+"""Height in metres above the bottom of a piece of furniture from which a thing in its box is on it, not under it."""
 NAMED: Final = 3
 """Largest number of files that a note names."""
 MARGIN: Final = 0.05
@@ -157,22 +159,28 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
         _add(builder, corners[:, ::-1], rows, light, owner, colour)
         if words.is_frame(item.label):
             tops = rows[level[rows] & (normals[rows, 1] > 0)]
-            _add(builder, corners, tops, light, owner, colour)
+            lowered = corners[tops]
+            lowered[:, :, 1] = np.minimum(lowered[:, :, 1], holders[owner])
+            _add(builder, lowered, np.arange(len(tops)), light[tops], owner, colour)
     return builder.surfaces(notes)
 
 
-def _holders(objects: Sequence[SceneObject]) -> frozenset[int]:
-    """Return the indices of the objects whose boxes contain the centre of a smaller object. A smaller object in a shut
-    container does not count.
+def _holders(objects: Sequence[SceneObject]) -> dict[int, float]:
+    """Return the indices of the objects whose boxes contain the centre of a smaller object, each with the height in
+    metres on which the lowest of these rests, such as that of a seat; infinite if all are on the floor. A smaller
+    object in a shut container does not count.
     """
-    found = set()
+    found: dict[int, float] = {}
     boxes = np.array([np.full((2, 3), np.nan) if o.box is None else o.box for o in objects]).reshape(-1, 2, 3)
     volume = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)
+    raised = boxes[:, 0, 1]
     for number, item in enumerate(objects):
         if not item.hidden and item.box is not None:
             around = ((boxes[:, 0] <= item.center) & (boxes[:, 1] >= item.center)).all(axis=1)
-            found.update(np.flatnonzero(around & (volume > volume[number])).tolist())
-    return frozenset(found)
+            for holder in np.flatnonzero(around & (volume > volume[number])).tolist():
+                rests = float(raised[number]) if raised[number] - raised[holder] > OFF_FLOOR else np.inf
+                found[holder] = min(rests, found.get(holder, np.inf))
+    return found
 
 
 def _add(builder: SurfaceBuilder, corners: F64, rows: I64, light: F64, owner: int, colour: Colour) -> None:

@@ -121,6 +121,7 @@ class Sight:
         self._scene, self._floor, self._rules = scene, floor, rules
         self._is_frame = is_frame
         self._around = View(range=places.sight_range)
+        self._level = View(range=places.sight_range, pitch=FIRST_VIEW_DEGREES / 2)
         self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         known = None if geometry is None or not len(geometry.faces) else geometry
         self.approximate = known is None or known.approximate
@@ -165,11 +166,10 @@ class Sight:
             if where is None or not of:
                 continue
             keys, eyes = list(of), np.array(list(of.values()))
+            view = self._level if sought[0] == "thing" else self._around
             for at in range(0, len(keys), EYES_AT_ONCE):
                 part = slice(at, at + EYES_AT_ONCE)
-                looks.append(
-                    _Look(sought, keys[part], eyes[part], where, in_view(eyes[part], where.points, self._around))
-                )
+                looks.append(_Look(sought, keys[part], eyes[part], where, in_view(eyes[part], where.points, view)))
                 waiting += int(looks[-1].seen.sum())
                 if waiting > RAYS_AT_ONCE:
                     self._cast(looks)

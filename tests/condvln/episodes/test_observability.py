@@ -120,6 +120,17 @@ def test_from_the_start_on_the_way_or_only_by_a_detour(geometry) -> None:
 
 
 @SURFACES
+def test_a_thing_at_the_feet_is_seen_from_farther_away_only(geometry) -> None:
+    """No level camera of 90° sees it from the start, 66° below the eye; 1.5 m on the way it is 34° below."""
+    boots = thing("boots", "west", 2, 1.5, half=0.1, top=0.1)
+    away = ways([[2, 2], [2, 3.5], [3, 3.5]], [[2, 2], [2, 3.5], [1, 3.5]])
+    there = asking(present("boots", WEST, "boots"))
+    assert observed(there, away, boots, geometry=geometry).observability == "O1"
+    # The floor at its feet hides nothing: absence is known at once.
+    assert observed(asking(present("sofa", WEST)), away, boots, geometry=geometry).observability == "O0"
+
+
+@SURFACES
 @pytest.mark.parametrize(("yaw", "seen"), [(45.0, True), (0.0, True), (-30.0, False), (180.0, False)])
 def test_the_first_view_is_ninety_degrees_wide(geometry, yaw, seen) -> None:
     placement = dataclasses.replace(STAYING, yaw=math.radians(yaw))

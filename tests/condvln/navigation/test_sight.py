@@ -88,6 +88,9 @@ def test_field_of_view(heading: float, angle: float, up: float, fov: float) -> N
     view = View(range=50, horizontal_fov=fov)
     if abs(abs(angle) - fov / 2) > 1e-6:
         assert visible_points(nothing, [[0, 0, 0]], point, view, [heading])[0, 0] == (abs(angle) < fov / 2)
+    if abs(abs(up) - 40) > 1e-6:
+        turning = View(range=50, pitch=40)
+        assert visible_points(nothing, [[0, 0, 0]], point, turning)[0, 0] == (abs(up) < 40)
     ahead = math.cos(math.radians(angle))
     limit = ahead * math.tan(math.radians(40)) - abs(math.tan(math.radians(up)))
     if ahead > 0.01 and abs(limit) > 1e-6:
@@ -216,6 +219,7 @@ def test_eyes_nowhere_see_nothing() -> None:
         (UsageError, lambda: View(range=0)),
         (UsageError, lambda: View(horizontal_fov=200)),
         (UsageError, lambda: View(vertical_fov=0)),
+        (UsageError, lambda: View(pitch=90)),
         (UsageError, lambda: visible_points(wall_with_gap_mesh(), [[0, 0, 0]], [[1, 0, 0]], View(horizontal_fov=90))),
         (UsageError, lambda: visible_points(wall_with_gap_mesh(), [[0, 0, 0]], [[1, 0, 0]], own=[1, 2])),
         (UsageError, lambda: visible_shares(wall_with_gap_mesh(), [[0, 0, 0]], [SightTarget(np.zeros((0, 3)))])),

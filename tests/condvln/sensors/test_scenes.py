@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from condvln.samples import make_samples
+from condvln.scene import SceneObject
 from condvln.scene.geometry import STRUCTURE
 from condvln.sensors import Renderer, open_renderer
 from condvln.sensors.assembly import BOXES, MARGIN, NO_STAGE, NO_WALLS, OWNERS_BY_BOX
@@ -129,6 +130,29 @@ def test_scenes_without_walls_or_stage_say_so(worlds: dict[str, World]) -> None:
     assert not nothing.look(CAMERA, [0, 0, 0]).depth.any()
     bare = replace(worlds["replicacad"].scene, stage=())
     assert open_renderer(bare, None).notes == (NO_STAGE,)
+
+
+@pytest.mark.parametrize(("label", "rests", "is_seen"), [("sofa", 0.5, True), ("dining table", 0.0, False)])
+def test_what_is_on_a_seat_is_seen_from_above_and_what_is_under_a_table_is_not(
+    worlds: dict[str, World], label: str, rests: float, is_seen: bool
+) -> None:
+    """Both are inside the box, which a sofa's back or a table's top makes higher than the thing."""
+    scene = worlds["procthor"].scene
+    room = scene.rooms[0]
+    centre = np.array([0.0, room.floor_y, 0.0])
+
+    def thing(name: str, word: str, bottom: float, half: float, top: float) -> SceneObject:
+        low, high = centre + np.array([-half, bottom, -half]), centre + np.array([half, top, half])
+        box = np.array([low, high])
+        return replace(scene.objects[0], object_id=name, label=word, center=box.mean(axis=0), aabb=box, obb=None,
+                       room_id=room.room_id)  # fmt: skip
+
+    things = (thing("a", label, 0.0, 0.8, 1.0), thing("b", "book", rests, 0.1, rests + 0.1))
+    renderer = open_renderer(replace(scene, objects=things), None)
+    down = CAMERA.model_copy(update={"look_down": 60.0})
+    frame = renderer.look(down, centre + np.array([0.0, 0.0, 0.9]))
+    assert bool((frame.instance == 2).any()) == is_seen
+    assert (frame.instance == 1).any()
 
 
 def test_equal_scenes_give_equal_images(worlds: dict[str, World], tmp_path: Path) -> None:
