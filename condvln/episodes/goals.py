@@ -237,7 +237,8 @@ def _spread(points: F64, box: Footprint, count: int, pathfinder: PathfinderProto
         unknown = [k for k in taken if np.isnan(ways[k])]
         if not unknown:
             break
-        ways[unknown] = pathfinder.geodesic_distances(points[0], points[unknown])
+        found = pathfinder.geodesic_distances(points[0], points[unknown])
+        ways[unknown] = np.where(np.isnan(found), np.inf, found)
     chosen = points[taken]
     return np.asarray(chosen[np.argsort(box.distance(chosen), kind="stable")], dtype=np.float64)
 

@@ -90,6 +90,13 @@ def _narrow(allowed: Bools, target: int, apart: Bools, found: Bools) -> None:
 
 
 @compiled
+def _join(one: Bools, other: Bools, found: Bools) -> None:
+    """Set `found` to what is in either set."""
+    for k in range(len(one)):
+        found[k] = one[k] | other[k]
+
+
+@compiled
 def _without_label(allowed: Bools, wanted: int, label: Longs) -> None:
     """Remove the targets whose label is `wanted` from `allowed`."""
     for k in range(len(allowed)):
@@ -203,6 +210,23 @@ def _draw_target(
 
 
 @compiled
+def _draw_clear(
+    allowed: Bools, sums: Doubles, labels: Longs, tables: TargetTables, stream: Doubles, left: Longs
+) -> int:
+    """Return one of the `allowed` targets, if possible one with a clear name, or NONE; see `_draw_target`."""
+    some = np.empty(len(allowed), np.bool_)
+    for k in range(len(allowed)):
+        some[k] = allowed[k] & tables.clear[k]
+    target = NONE
+    for _ in range(2):
+        target = _draw_target(some, sums, labels, tables, stream, left)
+        if target != NONE:
+            break
+        some = allowed
+    return target
+
+
+@compiled
 def _has(label: int, allowed: Bools, tables: TargetTables) -> bool:
     """Return whether any of the `allowed` targets has this label."""
     found = False
@@ -231,7 +255,7 @@ def _few_rooms(
     """
     rooms[0] = tables.asked[cumulative(tables.asked_sums, 0, len(tables.asked), stream, left)]
     held[:] = tables.held[rooms[0]]
-    ahead = np.empty(len(tables.by_type), np.int64)
+    ahead, both = np.empty(len(tables.by_type), np.int64), np.empty(len(held), np.bool_)
     count = 1
     while count < most:
         size = plain = 0
@@ -248,7 +272,7 @@ def _few_rooms(
         if count == most - 1:
             kept = plain = 0
             for k in range(size):
-                both = held | tables.held[ahead[k]]
+                _join(held, tables.held[ahead[k]], both)
                 if fits(both, both, n, waypoints, tables):
                     ahead[kept] = ahead[k]
                     kept += 1
@@ -266,7 +290,7 @@ def _few_rooms(
                     place -= 1
         else:
             rooms[count] = ahead[index(size, stream, left)]
-        held |= tables.held[rooms[count]]
+        _join(held, tables.held[rooms[count]], held)
         count += 1
     return count
 
@@ -287,16 +311,16 @@ def _draw_goals(
     """Write one goal for each of `n` leaves to `goals`. They have different labels and are pairwise apart, and enough
     targets are left for the waypoints of the longest leaf. Return the number of a failure, or NONE.
     """
-    unused = held & drawable
+    unused = np.empty(len(held), np.bool_)
+    for k in range(len(held)):
+        unused[k] = held[k] & drawable[k]
     if not fits(unused, unused, n, 0, tables):
         return LABEL_OVER_CAP if fits(held, held, n, 0, tables) else NO_TARGETS
     allowed, free = unused.copy(), held.copy()
     rest, spare = np.empty(len(held), np.bool_), np.empty(len(held), np.bool_)
     count = 0
     while count < n:
-        target = _draw_target(allowed & tables.clear, sums, labels, tables, stream, left)
-        if target == NONE:
-            target = _draw_target(allowed, sums, labels, tables, stream, left)
+        target = _draw_clear(allowed, sums, labels, tables, stream, left)
         if target == NONE:
             return NO_WAYPOINT if waypoints else NO_TARGETS
         _narrow(unused, target, tables.apart, rest)
@@ -329,15 +353,14 @@ def _draw_moves(
     are apart from one another. The first waypoint is one of `used`, the stops with which other leaves begin, only if no
     other target is left. Return False if there are no such waypoints.
     """
-    open_ = allowed.copy()
+    open_, fresh = allowed.copy(), np.empty(len(allowed), np.bool_)
     _without_label(open_, tables.label[goal], tables.label)
     for k in range(count - 1):
-        fresh = open_ & ~used if k == 0 else open_.copy()
-        target = _draw_target(fresh & tables.clear, sums, tables.order, tables, stream, left)
+        for other in range(len(open_)):
+            fresh[other] = open_[other] & (k > 0 or not used[other])
+        target = _draw_clear(fresh, sums, tables.order, tables, stream, left)
         if target == NONE:
-            target = _draw_target(fresh, sums, tables.order, tables, stream, left)
-        if target == NONE:
-            target = _draw_target(open_, sums, tables.order, tables, stream, left)
+            target = _draw_clear(open_, sums, tables.order, tables, stream, left)
         if target == NONE:
             return False
         moves[k] = target
@@ -448,7 +471,8 @@ def draw_stops(
     labels, sums, waypoint_sums = labels[:kept], _running(weights[:kept]), _running(tables.weights)
     drawable, held = np.zeros(len(tables.label), np.bool_), np.zeros(len(tables.label), np.bool_)
     for label in labels:
-        drawable[tables.members[tables.spans[label, 0] : tables.spans[label, 1]]] = True
+        for k in range(tables.spans[label, 0], tables.spans[label, 1]):
+            drawable[tables.members[k]] = True
     goals = np.empty(n, np.int64)
     for attempt in range(tries):
         if left[1]:
