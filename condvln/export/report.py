@@ -20,6 +20,9 @@ SMALL_SPLIT: Final = 0.05
 FEW_SCENES: Final = 5
 """A split with fewer scenes than this is reported if another one has at least twice as many."""
 
+THIN_CATEGORY: Final = 0.25
+"""A category is reported if its part of a split is less than this share of its part of all episodes."""
+
 
 def _sums(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     found: Counter[str] = Counter()
@@ -121,6 +124,8 @@ class ExportReport:
             for name, held in own.items():
                 if held > count / 2 and held / count > 2 * categories[name] / total:
                     odd.append(f"{held:,} of them {name}")
+                elif 0 < held < THIN_CATEGORY * count * categories[name] / total:
+                    odd.append(f"only {held:,} of its {count:,} episodes are {name}")
             if odd:
                 told[split] = "; ".join(odd)
         return told

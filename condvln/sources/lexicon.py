@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import posixpath
+
 from condvln.formats.json_document import JsonNode
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.scene_dataset import SceneDataset
@@ -40,7 +42,7 @@ def read_descriptors(
     or as None if the scene has none.
 
     The scene's own semantic descriptor is read first, then the dataset's default one, which fills in what the first
-    lacks.
+    lacks, then the lexicon that one of them links to.
 
     Raises
     ------
@@ -65,6 +67,8 @@ def read_descriptors(
         if lexicon is None and "classes" in document:
             lexicon = Lexicon(path, document)
     if lexicon is None:
+        lexicon = next(filter(None, (_linked_lexicon(dataset, path, ledger) for path in looked_at)), None)
+    if lexicon is None:
         raise MissingFileError(
             "no semantic lexicon ('classes') is named for this scene",
             where=dataset.root.folder / dataset.config_path,
@@ -72,6 +76,26 @@ def read_descriptors(
             remedy="Put the dataset's lexicon back and name it there",
         )
     return lexicon, regions
+
+
+def _linked_lexicon(dataset: SceneDataset, path: str, ledger: InputLedger) -> Lexicon | None:
+    """Return the lexicon that the descriptor at `path` names in ``semantic_descriptor_filename``, or the dataset's
+    default for descriptors; None if there is none. The name is relative to the descriptor's folder.
+    """
+    key = "semantic_descriptor_filename"
+    named = dataset.document(path).get(key) or dataset.default("semantic_scene_descriptor_instances", key)
+    if named is None:
+        return None
+    linked = dataset.root.join(posixpath.dirname(path), named.text(), where=named.where, place=named.place)
+    if not dataset.root.has(linked):
+        raise MissingFileError(
+            "the semantic lexicon file does not exist",
+            where=dataset.root.folder / linked,
+            remedy=f"Download it again, or correct {key!r} in {named.where}",
+        )
+    ledger.entry(path, key, named.value)
+    document = dataset.document(linked).object()
+    return Lexicon(linked, document) if "classes" in document else None
 
 
 def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, ledger: InputLedger) -> str:

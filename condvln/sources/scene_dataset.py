@@ -98,7 +98,7 @@ class SceneDataset:
 
     Raises
     ------
-    ConfigError : the root folder has no dataset configuration, or more than one
+    ConfigError : the root folder has no dataset configuration, or several that are no variants of one
     """
 
     def __init__(self, root: DatasetRoot) -> None:
@@ -184,13 +184,16 @@ class SceneDataset:
 
     def _config_path(self) -> str:
         found = list_files(self.root, [f"*{CONFIG_SUFFIX}"]).paths
-        if len(found) != 1:
+        # HSSD has hssd-hab-uncluttered.scene_dataset_config.json beside hssd-hab.scene_dataset_config.json.
+        plain = min(found, key=len, default="").removesuffix(CONFIG_SUFFIX)
+        if not found or any(path != f"{plain}{CONFIG_SUFFIX}" and not path.startswith(f"{plain}-") for path in found):
             raise ConfigError(
-                f"{len(found)} files *{CONFIG_SUFFIX} are in this folder, but exactly one is expected",
+                f"{len(found)} files *{CONFIG_SUFFIX} are in this folder, but exactly one is expected, or one and "
+                "variants of it whose names begin with its name and a hyphen",
                 where=self.root.folder,
                 remedy="Set the source's 'root' to the folder that holds the dataset's configuration",
             )
-        return found[0]
+        return f"{plain}{CONFIG_SUFFIX}"
 
     def _index(self, kind: str) -> _Index:
         section = self.config.get(kind)

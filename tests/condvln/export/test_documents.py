@@ -265,6 +265,19 @@ def test_a_split_that_can_not_be_filled_is_named() -> None:
     assert "* `test`: 59 episodes where" in dataset_card(report, "x")
 
 
+def test_a_category_that_is_rare_in_one_split_only_is_named() -> None:
+    """ReplicaCAD's default splits once had 3 nested episodes of 112 in val_seen, where an even share is 19."""
+    even = dict.fromkeys(("simple", "nested", "deep_nested", "chain", "long_chain", "nested_chain"), 240)
+    seen = {"simple": 30, "nested": 3, "deep_nested": 28, "chain": 15, "long_chain": 16, "nested_chain": 20}
+    shapes = {"train": {"category": even}, "val_seen": {"category": seen}}
+    counts = {"train": 1440, "val_seen": 112}
+    report = ExportReport("s", episodes=counts, scenes=dict.fromkeys(counts, ["s"] * 21), shapes=shapes)
+    assert report.lopsided == {"val_seen": "only 3 of its 112 episodes are nested"}
+    rare = {name: 40 if name == "nested" else count for name, count in even.items()}
+    shapes["train"] = {"category": rare}
+    assert report.lopsided == {}, "it is rare everywhere"
+
+
 # -- changelog ---------------------------------------------------------------------------------------------------------
 
 

@@ -130,3 +130,15 @@ def test_a_root_that_is_none_is_one_clear_error(made: Any, tmp_path: Path) -> No
     os.link(made.root / "made.scene_dataset_config.json", made.root / "b.scene_dataset_config.json")
     with pytest.raises(ConfigError, match="2 files"):
         made.source()
+
+
+def test_a_variant_of_the_configuration_may_be_beside_it(made: Any) -> None:
+    """HSSD has hssd-hab and hssd-hab-uncluttered in one folder: the shorter name is the dataset."""
+    before = read(made)
+    variant = made.root / "made-uncluttered.scene_dataset_config.json"
+    variant.write_text("{}")
+    after = read(made)
+    assert [o.object_id for o in after.objects] == [o.object_id for o in before.objects] != []
+    variant.rename(made.root / "madeuncluttered.scene_dataset_config.json")
+    with pytest.raises(ConfigError, match="2 files"):
+        made.source()

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from schemas.errors import ConfigError
+from schemas.errors import ConfigError, MissingFileError
 from tests.condvln.sources.replicacad_reading import read
 
 ROOMS = [
@@ -46,6 +46,31 @@ def test_a_scenes_own_descriptor_brings_rooms_and_the_default_one_the_classes(ma
     scene = read(made)
     assert [r.room_id for r in scene.rooms] == ["east", "west"]
     assert scene.object_of["table_01:0"].label == "table"
+
+
+@pytest.mark.parametrize("of_all", [True, False])
+def test_the_classes_may_be_in_a_file_that_the_descriptor_links_to(made: Any, of_all: bool) -> None:
+    """As in HSSD with annotated regions: each scene has a descriptor, and all link to one lexicon."""
+    made.json("semantics/lexicon.json", {"classes": [{"name": "desk", "id": 1}, {"name": "stool", "id": 2}]})
+    link = {"semantic_descriptor_filename": "../lexicon.json"}
+    own = {"region_annotations": ROOMS}
+    made.json("semantics/scenes/flat.semantic_config.json", own if of_all else own | link)
+    made.config["semantic_scene_descriptor_instances"] = {
+        "paths": {".json": ["semantics/scenes/*"]},
+        **({"default_attributes": link} if of_all else {}),
+    }
+    made.config["scene_instances"]["default_attributes"] = {
+        "semantic_scene_instance": "%%CONFIG_NAME_AS_ASSET_FILENAME%%.semantic_config.json"
+    }
+    made.write_config()
+    made.scene.pop("semantic_scene_instance", None)
+    made.write_scene()
+    scene = read(made)
+    assert [r.room_id for r in scene.rooms] == ["east", "west"]
+    assert scene.object_of["table_01:0"].label == "desk"
+    (made.root / "semantics" / "lexicon.json").unlink()
+    with pytest.raises(MissingFileError, match="the semantic lexicon file does not exist"):
+        read(made)
 
 
 def test_a_side_file_is_marked_as_the_users(made: Any, tmp_path: Path) -> None:
