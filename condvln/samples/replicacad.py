@@ -23,7 +23,7 @@ from condvln.samples.layout import Furniture, Layout, Room
 from condvln.samples.models import Model, articulated_files, model_of
 from condvln.samples.stage import floor_boxes, wall_boxes
 
-__all__ = ["replicacad_files"]
+__all__ = ["articulated_record", "numbers", "region_record", "replicacad_files", "wxyz"]
 
 DATASET: Final = "made"
 """Name of the dataset and prefix of its models."""
@@ -73,7 +73,7 @@ def _scene_files(
     yield f"stages/{stage}.glb", shell
     yield f"configs/stages/{stage}.stage_config.json", _json(_stage_config(stage))
     yield f"configs/scenes/{name}.scene_instance.json", _json(_scene_instance(name, layout, models))
-    regions = {"region_annotations": [_region(room, layout.ceiling) for room in layout.rooms]}
+    regions = {"region_annotations": [region_record(room, layout.ceiling) for room in layout.rooms]}
     described = {"semantic_descriptor_filename": f"../ssd/{LEXICON}.json", **regions}
     yield f"configs/semantics/{name}.semantic_config.json", _json(described)
     for folder, radius in RADII.items():
@@ -117,7 +117,7 @@ def _object_config(name: str, label: str, model: Model) -> Json:
         "render_asset": f"../../objects/{name}.glb",
         "collision_asset": f"../../objects/{name}.glb",
         "mass": 10.0,
-        "COM": _numbers(model.com),
+        "COM": numbers(model.com),
         "join_collision_meshes": False,
         "semantic_id": _class_ids()[label],
     }
@@ -150,7 +150,7 @@ def _scene_instance(name: str, layout: Layout, models: Mapping[str, Model]) -> J
         "navmesh_instance": name,
         "semantic_scene_instance": name,
         "object_instances": [_placed(piece, models[piece.model], number) for number, piece in enumerate(rigid)],
-        "articulated_object_instances": [_articulated(piece) for piece in bodies],
+        "articulated_object_instances": [articulated_record(piece) for piece in bodies],
     }
 
 
@@ -164,8 +164,8 @@ def _placed(piece: Furniture, model: Model, number: int) -> Json:
     instance: Json = {
         # ReplicaCAD has both forms.
         "template_name": f"objects/{DATASET}_{piece.model}" if number % 5 == 0 else f"{DATASET}_{piece.model}",
-        "translation": _numbers(asset_origin + piece.yaw.matrix @ model.com if at_com else asset_origin),
-        "rotation": _wxyz(piece),
+        "translation": numbers(asset_origin + piece.yaw.matrix @ model.com if at_com else asset_origin),
+        "rotation": wxyz(piece),
         "motion_type": "STATIC",
     }
     if number % 3 < 2:
@@ -173,7 +173,8 @@ def _placed(piece: Furniture, model: Model, number: int) -> Json:
     return instance
 
 
-def _articulated(piece: Furniture) -> Json:
+def articulated_record(piece: Furniture) -> Json:
+    """Return the record of an articulated piece of furniture in a scene instance."""
     kind = catalogue()[piece.kind]
     return {
         "template_name": kind.urdf,
@@ -181,18 +182,20 @@ def _articulated(piece: Furniture) -> Json:
         "auto_clamp_joint_limits": True,
         "translation_origin": "COM",
         "motion_type": "DYNAMIC",
-        "translation": _numbers(np.array(piece.center)),
-        "rotation": _wxyz(piece),
+        "translation": numbers(np.array(piece.center)),
+        "rotation": wxyz(piece),
         "uniform_scale": kind.scales[piece.variant],
     }
 
 
-def _wxyz(piece: Furniture) -> list[float]:
+def wxyz(piece: Furniture) -> list[float]:
+    """Return the rotation of a piece of furniture as [w, x, y, z]."""
     x, y, z, w = piece.yaw.quaternion
     return [w, x, y, z]
 
 
-def _region(room: Room, ceiling: float) -> Json:
+def region_record(room: Room, ceiling: float) -> Json:
+    """Return a room as an entry of ``region_annotations``; `ceiling` is its height in metres."""
     low_x, low_z, high_x, high_z = room.shape.bounds
     return {
         "name": room.room_id,
@@ -205,6 +208,6 @@ def _region(room: Room, ceiling: float) -> Json:
     }
 
 
-def _numbers(vector: F64) -> list[float]:
+def numbers(vector: F64) -> list[float]:
     """Return coordinates without floating-point noise in the last bits; −0 becomes 0."""
     return [float(v) for v in np.round(vector, 6) + 0.0]

@@ -115,6 +115,13 @@ FAMILIES: Final[dict[str, Family]] = {
         scene_file="{family}/{name}/{name}.glb",
         licensed=True,
     ),
+    "hssd": Family(
+        "Habitat Synthetic Scenes Dataset (HSSD)",
+        "Creative Commons Attribution-NonCommercial 4.0",
+        "Khanna et al., Habitat Synthetic Scenes Dataset (HSSD-200), CVPR 2024",
+        composed=True,
+        costs_like="replicacad",
+    ),
     "ithor": Family(
         "AI2-THOR (iTHOR)",
         "Apache-2.0",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from condvln.sources.gibson import GibsonSource
+from condvln.sources.hssd import HssdSource
 from condvln.sources.ithor import IthorSource
 from condvln.sources.mp3d import Mp3dSource
 from condvln.sources.procthor import ProcthorSource
@@ -24,6 +25,7 @@ __all__ = ["READERS", "open_source"]
 
 READERS: Final[dict[str, type[SceneSource]]] = {
     "gibson": GibsonSource,
+    "hssd": HssdSource,
     "ithor": IthorSource,
     "mp3d": Mp3dSource,
     "procthor": ProcthorSource,

@@ -24,7 +24,7 @@ from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import shared_library
 from condvln.sources.body import Body, BodyReader
 from condvln.sources.input_ledger import InputLedger
-from condvln.sources.lexicon import read_descriptors
+from condvln.sources.lexicon import Lexicon, read_descriptors
 from condvln.sources.mesh_geometry import assembled_geometry
 from condvln.sources.regions import in_rooms, read_regions, side_regions
 from condvln.sources.scene_dataset import SceneDataset
@@ -106,7 +106,7 @@ class ReplicaCadSource(SceneSource):
         ledger.file(path)
         instance = read_scene_instance(dataset.document(path))
         lexicon, annotated = read_descriptors(dataset, posixpath.basename(scene_id), instance.semantics, ledger)
-        reader = BodyReader(dataset, lexicon, self.family, ledger)
+        reader = self.body_reader(dataset, lexicon, ledger)
         stage = () if instance.stage is None else reader.stage(instance.stage)
         bodies = [reader.rigid(p) for p in instance.objects] + [reader.articulated(p) for p in instance.articulated]
         ledger.objects = len(bodies)
@@ -119,6 +119,10 @@ class ReplicaCadSource(SceneSource):
             regions = side_regions(self.options.regions, names, self.family, ledger) or regions
         ledger.rooms = len(regions) or 1
         return Assembly(bodies, stage, regions, navmeshes, [*reader.warnings, *said])
+
+    def body_reader(self, dataset: SceneDataset, lexicon: Lexicon, ledger: InputLedger) -> BodyReader:
+        """Return the reader of one scene's bodies."""
+        return BodyReader(dataset, lexicon, self.family, ledger)
 
     def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
         """Return the rooms of a scene before objects are assigned: its regions, else one room for the whole scene."""
