@@ -94,7 +94,7 @@ class Comparison:
                 self.first = self.first or image
 
     def add_files(self, unit: Unit) -> None:
-        """Compare the source files of a scene."""
+        """Compare the source files of a scene with those that the recipe was made from."""
         if self.recipe.record.scene_files.get(unit.unit_id, "") not in ("", scene_files(unit)):
             self.scenes.append(unit.unit_id)
 

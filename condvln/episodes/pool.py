@@ -242,8 +242,9 @@ class _Filling:
         return None
 
     def _in_turn(self, tries: Iterable[_Try]) -> Iterator[_Try]:
-        """Yield `tries` cell by cell, counterfactual groups first. Of a cell, each is the first of those that would
-        bring the numbers of moves of its leaves nearest to the wanted shares, given what the caller has placed so far.
+        """Yield `tries` cell by cell, counterfactual groups first. Within a cell, each next one is the one that brings
+        the cell's shares of leaves with 1, 2 or 3 moves nearest to the wanted shares, given what the caller has placed
+        so far; the earliest in case of a tie.
         """
         cells: dict[InstructionCell | None, dict[tuple[tuple[int, int], ...], deque[_Try]]] = {None: {}}
         for one in tries:

@@ -310,8 +310,8 @@ def _nonfinite(value: Any) -> tuple[tuple[str | int, ...], float] | None:
 
 
 def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> None:
-    """Raise a FormatError if an object in `data` repeats a key. The parser keeps only the last of equal keys; counting
-    colons shows that a key was lost.
+    """Raise a FormatError if an object in `data` repeats a key. The parser keeps only the last of equal keys, so `data`
+    then has more colons outside of texts than `value` has keys.
     """
     colons = data.count(b":")
     if colons == _own_keys(value):

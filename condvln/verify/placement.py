@@ -150,7 +150,7 @@ class _Checker:
     # -------------------------------------------------------------------------------------------
 
     def note(self, rows: Sequence[ManifestEpisode], lines: _Lines) -> list[_Placed]:
-        """Register all queries of all rows."""
+        """Hand all path queries of all rows to `walks`, which answers them together; return the queries' numbers."""
         away = lines.clearances()
         near = iter(lines.near_goals(self.separation + 2 * math.sqrt(2) * SNAP_TOLERANCE))
         pair = next(near, None)

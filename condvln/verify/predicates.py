@@ -171,7 +171,7 @@ def _along_ground(one: Thing, other: Thing) -> float | None:
 
 
 def _is_over(one: Thing, other: Thing) -> bool:
-    """Return whether the centre of one object is inside the footprint of the other."""
+    """Return whether the centre of `one` is inside the footprint of `other`."""
     if other.box is None:
         return False
     return all(other.box[0][k] <= one.centre[k] <= other.box[1][k] for k in (0, 2))

@@ -21,8 +21,8 @@ Range = Annotated[tuple[Finite, Finite], Field(json_schema_extra={"unit": "m"})]
 class AgentConfig(Section):
     """The body that walks, an upright cylinder that the navmesh must fit; the defaults are Habitat's and VLN-CE's."""
 
-    radius: Metres = Field(0.1, description="radius of the cylinder")
-    height: Metres = Field(1.5, description="height of the cylinder")
+    radius: Metres = Field(0.1, description="radius of the agent's cylinder")
+    height: Metres = Field(1.5, description="height of the agent's cylinder")
     max_climb: Metres = Field(0.2, description="highest step that the agent climbs")
     max_slope: Degrees = Field(45.0, le=90, description="steepest floor that the agent walks on")
 

@@ -204,15 +204,16 @@ class Thresholds(Section):
 
     @model_validator(mode="after")
     def _margins_are_on_the_right_side(self) -> Thresholds:
-        for low, middle, high, name in (
-            (self.near_true, self.near, self.near_false, "near"),
-            (self.far_false, self.far, self.far_true, "far"),
-            (self.height_false, self.height, self.height_true, "height"),
-            (self.sector_true, SECTOR_HALF_WIDTH, self.sector_false, "sector"),
+        for low, middle, high, names in (
+            (self.near_true, self.near, self.near_false, ("near_true", "near", "near_false")),
+            (self.far_false, self.far, self.far_true, ("far_false", "far", "far_true")),
+            (self.height_false, self.height, self.height_true, ("height_false", "height", "height_true")),
+            (self.sector_true, SECTOR_HALF_WIDTH, self.sector_false, ("sector_true", "half a sector", "sector_false")),
         ):
             if not low < middle < high:
+                first, between, last = names
                 raise ValueError(
-                    f"{name}: {middle:g} must be above {low:g} and below {high:g} (see {name}_true and {name}_false)"
+                    f"{first} ({low:g}) must be below {between} ({middle:g}), and {last} ({high:g}) must be above it"
                 )
         for true, false, name in (
             (self.over_horizontal_true, self.over_horizontal, "over_horizontal"),

@@ -242,6 +242,7 @@ def test_the_page_has_the_scores_of_its_evaluation(
     tables = documents(evaluate, *written)
     found = chunks(tmp_path / "page")
     shown = {table["name"]: table for table in found["agents"]["tables"]}
+    differences = shown.pop("differences")["rows"]
     assert [*shown] == [*tables]
     for name, table in tables.items():
         assert {key: shown[name][key] for key in table} == table
@@ -261,6 +262,13 @@ def test_the_page_has_the_scores_of_its_evaluation(
             for measure, values in agent["scores"].items():
                 wanted = own[name][measure] if name in own else None
                 assert values[k] == (None if wanted is None else pytest.approx(wanted, abs=1e-4))
+    means = {path.stem: np.mean([row["success"] for row in scores if row["agent"] == path.stem]) for path in files}
+    overall = [row for row in differences if row["axis"] == "all"]
+    assert len(overall) == len(files) * (len(files) - 1)
+    for row in overall:
+        wanted = means[row["first"]] - means[row["second"]]
+        assert row["success"]["mean"] == pytest.approx(wanted, abs=1e-9)
+        assert row["own"] - row["other"] == pytest.approx(wanted, abs=1e-9)
     rates = {row["agent"]: row["success"]["mean"] for row in shown["main"]["rows"]}
     assert rates["walker"] == (1.0 if "--assume-stop" in options else 0.0)
     walks = {name: walk for key, many in found.items() if key.startswith("walks-") for name, walk in many.items()}
@@ -274,7 +282,7 @@ def test_the_page_has_the_oracle_twin(evaluate: Any, agents: dict[str, Path], tm
     tables = documents(evaluate, *files, "--html", tmp_path / "page")
     found = chunks(tmp_path / "page")
     names = [table["name"] for table in found["agents"]["tables"]]
-    assert names == [*tables]
+    assert names == [*tables, "differences"]
     assert "twin_main" in names
     assert [agent["name"] for agent in found["index"]["agents"]] == ["always-then", "always-then (oracle text)"]
     wanted = {row["agent"]: row["success"]["mean"] for row in tables["twin_main"]["rows"]}

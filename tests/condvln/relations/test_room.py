@@ -189,5 +189,5 @@ def test_small_rooms_have_no_pairs(make: Maker, room_of: RoomOf, count: int) -> 
     ],
 )
 def test_thresholds_that_contradict_are_refused(numbers: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"must be above .* and below|greater than|finite|surface_within"):
+    with pytest.raises(ValueError, match=r"must be below .* must be above it|greater than|finite|surface_within"):
         Thresholds(**numbers)
