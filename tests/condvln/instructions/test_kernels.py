@@ -77,7 +77,8 @@ def test_targets_fit_if_some_choice_of_them_does(t: int, n: int, waypoints: int,
     apart |= apart.T
     named = [LABELS[k] for k in rng.integers(0, 4, t)]
     found = tuple(Target(str(k), k, "one", k, named[k], 1.0, True) for k in range(t))
-    sampler = StopSampler(Targets(found, apart, np.zeros_like(apart)), {"one": "kitchen"}, ["one"], ["one"])
+    targets = Targets(found, apart, np.zeros_like(apart))
+    sampler = StopSampler(targets, {"one": "kitchen"}, ["one"], ["one"], lambda _room, _stop: True)
     allowed, free = rng.random(t) < 0.8, rng.random(t) < 0.8
 
     def chosen(count: int, among: list[int]) -> list[tuple[int, ...]]:
