@@ -102,8 +102,8 @@ class Pipeline:
         return tuple((name, self.tables.get(name)) for name in stage.tables)
 
     def visible(self, at: int) -> tuple[tuple[str, int], ...]:
-        """Return (table, position of the stage that writes it) of each table that the stage at position ``at`` reads.
-        If several stages write a table, the latest one before ``at`` counts.
+        """Return the tables that the stage at position ``at`` reads, each as (table, position of its writer). If
+        several stages write a table, its writer is the latest one before ``at``.
         """
         writers = {table: position for position, stage in enumerate(self.stages[:at]) for table in stage.tables}
         reads = self.stages[at].reads

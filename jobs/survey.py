@@ -1,4 +1,4 @@
-"""A survey of a dataset on disk: its content, and the expected output of a run, found only by reading scenes."""
+"""A survey of a dataset on disk: its content and the expected output of a run, estimated without running a stage."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class MaterialReader:
         self._asked = {node.text() for node in root.array("extensionsRequired")}
 
     def material(self, node: JsonNode) -> int:
-        """Return the new number of a material; the integer in `node` is the material's index in the file.
+        """Return the number of a material in `materials`. The integer in `node` is the material's index in the file.
 
         Raises
         ------

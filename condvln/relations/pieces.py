@@ -83,20 +83,20 @@ class Pieces:
         return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
 
     def all(self, mask: Mask) -> Mask:
-        """Return a mask (n, n) for pairs of objects: whether the mask (m, m) is true for every pair of a piece of one
-        object and a piece of the other.
+        """Return, for each two of the n objects, whether `mask` is true for every pair of their pieces, as (n, n).
+        `mask` (m, m) has an entry for each two of the m pieces.
         """
         return np.asarray(self._reduced(np.logical_and, mask), dtype=np.bool_)
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return, for pairs of objects (n, n), the least of the `values` (m, m) over all pairs of a piece of one and a
-        piece of the other; NaN if any of these values is NaN.
+        """Return, for each two of the n objects, the least value over all pairs of their pieces, as (n, n); NaN if one
+        of these values is NaN. `values` (m, m) has a value for each two of the m pieces.
         """
         return np.asarray(self._reduced(np.minimum, values), dtype=np.float64)
 
     def most(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return, for pairs of objects (n, n), the greatest of the `values` (m, m) over all pairs of a piece of one and
-        a piece of the other; NaN if any of these values is NaN.
+        """Return, for each two of the n objects, the greatest value over all pairs of their pieces, as (n, n); NaN if
+        one of these values is NaN. `values` (m, m) has a value for each two of the m pieces.
         """
         return np.asarray(self._reduced(np.maximum, values), dtype=np.float64)
 

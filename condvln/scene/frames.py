@@ -23,7 +23,7 @@ Z_UP_TO_HABITAT: Final[F64] = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 def unity_rotation(euler_degrees: ArrayLike) -> F64:
-    """Return the (3, 3) rotation in Habitat's frame of Unity's Euler angles (x, y, z) in degrees.
+    """Convert Unity's Euler angles (x, y, z), in degrees, to a rotation (3, 3) in Habitat's frame.
 
     Unity rotates about z, then x, then y, clockwise seen from the axis' tip (its frame is left-handed). In left-handed
     coordinates the matrices have their usual form; mirroring on both sides converts the rotation to Habitat's frame.

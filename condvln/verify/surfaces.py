@@ -29,8 +29,8 @@ ORTHOGONAL: Final = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """Triangles in their own frame, with one corner of each triangle (m, 3) and the bounds of all (2, 3). `solid` tells
-    whether the triangles enclose an interior.
+    """m triangles in their own frame. `corners` (m, 3) has the first corner of each, `bounds` (2, 3) encloses them all,
+    and `solid` tells whether they enclose an interior.
     """
 
     mesh: trimesh.Trimesh

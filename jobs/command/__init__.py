@@ -1,4 +1,4 @@
-"""The ``condvln`` command: its verbs in the order of its help. Each verb calls its module.
+"""The ``condvln`` command: its verbs, in the order in which its help lists them. Each verb calls a module of ``jobs``.
 
 Starting is quick because a verb imports what it needs only when it is called.
 """

@@ -101,10 +101,9 @@ class EpisodeConfig(Section):
     )
     max_steps: StepBudget = Field(
         STEP_CEILING,
-        description="step budget of every episode: a number, at most VLN-CE's 500, or proportional; the "
-        "walk to each leaf takes at most half of the budget; proportional = the larger of "
-        "text.steps_per_word × words and twice the number of ground-truth actions (stock "
-        "loaders can't represent a proportional budget)",
+        description="step budget of every episode: a number, at most VLN-CE's 500, or proportional, the larger of "
+        "text.steps_per_word × words and twice the number of ground-truth actions (stock loaders can't represent "
+        "it); the walk to each leaf takes at most half of the budget",
     )
     floor_seen: Share = Field(
         0.8, description="minimum share of a room's floor that must be visible to know that something is absent"

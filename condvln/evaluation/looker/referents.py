@@ -39,7 +39,7 @@ class Referents:
         self._t = Thresholds()
 
     def rooms(self, phrase: Phrase) -> set[int] | None:
-        """Return the numbers of the known rooms that a phrase may mean; None for any room."""
+        """Return the numbers of the known rooms that a phrase may mean; None if it may mean every room."""
         if phrase.room is None:
             at_start = phrase.qualifier is not None and phrase.qualifier[0] in BEARINGS
             return {self.start_room} if at_start and self.start_room >= 0 else None

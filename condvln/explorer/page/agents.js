@@ -64,8 +64,14 @@
   /* Return the tables of differences between two agents, by category, depth and so on. */
   function better(tables, first, second) {
     return tables.filter((table) => table.name === "differences").map((table) => {
-      const own = table.cells.filter((row) => row[0] === first && row[1] === second);
+      const between = (own, other) => table.cells.filter((row) => row[0] === own && row[1] === other);
+      let own = between(first, second);
       if (!own.length) return "";
+      // The better agent comes first, so that most differences are positive.
+      if (parseFloat(own[0][4]) < parseFloat(own[0][5])) {
+        [first, second] = [second, first];
+        own = between(first, second);
+      }
       const rows = own.map((row) => {
         const [, , axis, value, ...numbers] = row;
         const label = axis === "all" ? "all episodes" : `${axis} ${value}`;

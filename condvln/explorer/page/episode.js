@@ -170,7 +170,7 @@
     const rows = explorer.index.agents.filter((agent) => agent.outcome[row]).map((agent) => [
       agent.name, outcomeText(row, agent.name), number(agent.scores.navigation_error?.[row]), number(agent.scores.spl?.[row]),
       number(agent.scores.ndtw?.[row]), number(agent.scores.bsa_all?.[row])]);
-    return rows.length ? explorer.table("Agents on this episode", ["agent", "outcome", "#NE, m", "#SPL", "#nDTW", "#BSA-all"], rows, "agents-here") : null;
+    return rows.length ? explorer.table("Agents on this episode", ["agent", "outcome", "#end to gold goal, m (NE)", "#SPL", "#nDTW", "#BSA-all"], rows, "agents-here") : null;
   }
 
   function frames(episode) {

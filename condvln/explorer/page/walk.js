@@ -74,10 +74,12 @@
         this.plan.beads("walk", walk.path, `agent-${k % 4}`, explorer.SHAPES[k % 4]);
         this.plan.arrow("walk", walk.path[at], heading(walk, at), `agent-${k % 4}`, 12);
         const done = at === walk.path.length - 1;
-        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), `${done ? "" : "ends with: "}${this.outcome(agent)}`]);
+        const end = number(walk.distance[walk.path.length - 1]);
+        const outcome = done ? this.outcome(agent) : `ends with: ${this.outcome(agent)}, ${end} m from the gold goal`;
+        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), outcome]);
       }
       const geodesic = this.agents.every((agent) => this.walks[agent].geodesic);
-      const distance = geodesic ? "#metres to goal" : "#metres to goal (straight)";
+      const distance = geodesic ? "#metres to the gold goal at this step" : "#metres to the gold goal at this step (straight)";
       this.readout.replaceChildren(explorer.table("Where the agents are", ["agent", "step", distance, "outcome"], rows, "walks"));
       this.drawChart();
     }
