@@ -30,6 +30,8 @@ _TOLERANCE: Final = 1e-6
 """Of a comparison with a bound: distances are roots of whole millimetres."""
 _OF_ONE_PIECE: Final = frozenset(("on", "in", "near", "above", "below"))
 """Predicates that are true of an object of several pieces if they are true of one pair of pieces."""
+_BY_SOURCE: Final = frozenset(("on", "in"))
+"""Predicates that the source may affirm or deny where boxes do not decide."""
 _ON_ALL: Final = frozenset(("higher than", "lower than"))
 """Predicates that are false only if every criterion says so; for the others, one criterion is enough."""
 
@@ -61,6 +63,16 @@ class Criterion:
         this side has no bound or the value is unknown.
         """
         return self._within(float(self.value), truth)
+
+    def holds(self, truth: bool) -> bool:
+        """Return whether the value satisfies the bound of one side; False if this side has no bound or the value is
+        unknown.
+        """
+        bound = self.true if truth else self.false
+        if bound is None:
+            return False
+        slack = self.slack(truth)
+        return slack > 0.0 if bound[0] in "<>" else slack >= -_TOLERANCE
 
     def margin(self, truth: bool) -> float:
         """Return the difference of what is written: of the shown value and the bound."""
@@ -269,10 +281,9 @@ def decided(predicate: str, pairs: Sequence[Sequence[Criterion]], truth: bool) -
     one_is_enough = predicate in _OF_ONE_PIECE if truth else predicate == "far from"
     pick = max if one_is_enough else min
     pair = pick(pairs, key=lambda one: _closest_call(predicate, one, truth)[0])
-    slack, k = _closest_call(predicate, pair, truth)
-    found = pair[k]
-    holds = slack >= -_TOLERANCE
-    says = _sentence(predicate, pair, k, truth) if holds else _undecided(predicate, pair, truth)
+    found_at = _closest_call(predicate, pair, truth)[1]
+    found, holds = pair[found_at], pair[found_at].holds(truth)
+    says = _sentence(predicate, pair, found_at, truth) if holds else _undecided(predicate, pair, truth)
     return {
         "criteria": [one.document(holds and one is found) for one in pair],
         "says": says,
@@ -305,10 +316,14 @@ def _sentence(predicate: str, pair: Sequence[Criterion], k: int, truth: bool) ->
 
 def _undecided(predicate: str, pair: Sequence[Criterion], truth: bool) -> str:
     """Return the sentence about a pair whose quantities do not give the truth."""
-    other, k = _closest_call(predicate, pair, not truth)
+    _, k = _closest_call(predicate, pair, not truth)
     if truth:
         return "the boxes do not decide it; the source says so"
-    if other >= -_TOLERANCE:
+    if any(not np.isfinite(one.value) for one in pair if one.false is not None):
+        return "the size or place of one of the two is unknown"
+    if pair[k].holds(True):
         return f"{pair[k].name} {pair[k].written(pair[k].shown)}: “{predicate}”, but not of this name for certain"
     one = pair[_closest_call(predicate, pair, False)[1]]
+    if predicate in _BY_SOURCE:
+        return f"{one.name} {one.written(one.shown)}: the boxes do not decide it, only the source can"
     return f"{one.name} {one.written(one.shown)}: between the bounds, so text says neither"

@@ -55,7 +55,8 @@ class Site:
                 place=str(out),
                 remedy="Name a new or empty folder with --out.",
             )
-        (out / PAGE).unlink(missing_ok=True)
+        for path in (out / PAGE, *out.glob(".*.part")):
+            path.unlink(missing_ok=True)
         for folder in (DATA, FRAMES):
             shutil.rmtree(out / folder, ignore_errors=True)
         (out / DATA).mkdir(parents=True, exist_ok=True)
@@ -179,9 +180,15 @@ def _is_ours(out: Path) -> bool:
     page, data = out / PAGE, out / DATA
     if page.exists() and not (page.is_file() and b"condvln-explorer" in page.read_bytes()[:2000]):
         return False
-    names = {path.name for path in out.iterdir()} - {PAGE, DATA, FRAMES, *PARTS}
+    names = {_whole(path.name) for path in out.iterdir()} - {PAGE, DATA, FRAMES, *PARTS}
     chunks = data.iterdir() if data.is_dir() else ()
-    return not names and all(re.fullmatch(r"[a-z]+(-\d+)?\.js", path.name) for path in chunks)
+    return not names and all(re.fullmatch(r"[a-z]+(-\d+)?\.js", _whole(path.name)) for path in chunks)
+
+
+def _whole(name: str) -> str:
+    """Return the name that a file gets when it is complete; a killed writer leaves it under another name."""
+    part = re.fullmatch(r"\.(.+)\.part", name)
+    return part[1] if part else name
 
 
 def _by_name(agents: Sequence[AgentResults]) -> dict[str, list[AgentResults]]:

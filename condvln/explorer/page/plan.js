@@ -192,7 +192,10 @@
 
     /* Draw small shapes along a way, so that it is known without its colour. */
     beads(layer, path, kind, shape) {
-      const apart = 34;
+      // At most about 500 beads, however long the path of a file from elsewhere is.
+      let total = 0;
+      for (let k = 1; k < path.length; k += 1) total += Math.hypot(this.x(path[k][0]) - this.x(path[k - 1][0]), this.y(path[k][2]) - this.y(path[k - 1][2]));
+      const apart = Math.max(34, total / 500);
       let walked = apart / 2;
       for (let k = 1; k < path.length; k += 1) {
         const [x0, y0, x1, y1] = [this.x(path[k - 1][0]), this.y(path[k - 1][2]), this.x(path[k][0]), this.y(path[k][2])];

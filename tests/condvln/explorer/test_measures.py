@@ -85,6 +85,29 @@ def test_a_direction_and_a_support_have_their_units() -> None:
     assert decided("on", measured("on", bottle, desk), True)["says"].endswith("so it is true, by 0.03 m")
 
 
+def test_boxes_that_touch_do_not_deny_a_support() -> None:
+    desk = thing("desk", (0, 0, 0), (1, 0.75, 0.5))
+    over = thing("cup", (0.2, 0.8, 0.1), (0.3, 0.9, 0.2))
+    half_in = thing("cup", (0.2, 0.7, 0.1), (0.3, 0.9, 0.2))
+    for predicate, cup, name in (("on", over, "distance between the footprints"), ("in", half_in, "distance")):
+        found = decided(predicate, measured(predicate, cup, desk), False)
+        assert found["margin"] is None
+        assert not any(one["decides"] for one in found["criteria"])
+        assert found["says"] == f"{name} 0.00 m: the boxes do not decide it, only the source can"
+
+
+def test_of_an_unknown_size_no_number_is_said() -> None:
+    bed = thing("bed", (2, 0, 0), (4, 0.5, 2))
+    pair = [
+        Criterion("distance", np.nan, "m", ("≤", 0.5)),
+        Criterion("distance on the ground", np.nan, "m", None, ("≥", 1.0)),
+    ]
+    found = decided("near", [pair], False)
+    assert (found["says"], found["margin"]) == ("the size or place of one of the two is unknown", None)
+    assert [one["value"] for one in found["criteria"]] == [None, None]
+    assert decided("near", measured("near", thing("lamp", (0, 0, 0), (1, 1, 1)), bed), False)["says"] != found["says"]
+
+
 def test_each_fact_of_text_has_a_margin() -> None:
     tally: Counter[tuple[str, bool]] = Counter()
     for seed in range(7):

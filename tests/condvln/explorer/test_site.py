@@ -75,8 +75,11 @@ def test_a_folder_with_other_files_is_left_alone(name: str, tmp_path: Path) -> N
 def test_a_page_that_was_half_written_is_written_again(tmp_path: Path) -> None:
     write(tmp_path, made_manifest(2))
     Site(tmp_path)  # begins, and is cut off
+    for name in (".index.html.part", "data/.scene-1.js.part"):  # what a killed writer leaves
+        (tmp_path / name).write_text("half")
     assert not (tmp_path / "index.html").exists()
     assert write(tmp_path, made_manifest(2)).is_file()
+    assert not [*tmp_path.rglob("*.part")]
 
 
 def test_the_page_names_its_scripts_and_nothing_from_elsewhere(tmp_path: Path) -> None:
