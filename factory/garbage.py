@@ -10,7 +10,9 @@ from typing import Final
 __all__ = ["MANY", "collected_between_units"]
 
 MANY: Final = 20_000
-"""New objects after which a unit is followed by a collection; a unit that makes fewer waits for the next one."""
+"""A unit that leaves more new objects than this is followed by a full collection; after others, Python's own rules
+apply.
+"""
 
 
 @contextlib.contextmanager
@@ -20,17 +22,20 @@ def collected_between_units() -> Iterator[None]:
 
     A collection during a unit looks at a million objects, nearly all of them modules and compiled kernels that live as
     long as the process: it takes 0.3 s and comes once a scene. What is there after the first unit is therefore exempt
-    from all later collections; such objects are still freed when their last reference goes.
+    from all later collections. Exempt objects are freed when their last reference goes, but not if they refer to
+    themselves: what a stage keeps from one scene to the next must be without cycles.
     """
     if not gc.isenabled():
         yield
         return
-    gc.disable()
     try:
+        gc.disable()
         yield
     finally:
-        if gc.get_count()[0] > MANY:
-            gc.collect()
-            if not gc.get_freeze_count():
-                gc.freeze()
-        gc.enable()
+        try:
+            if gc.get_count()[0] > MANY:
+                gc.collect()
+                if not gc.get_freeze_count():
+                    gc.freeze()
+        finally:
+            gc.enable()  # even if a signal ends the collection

@@ -244,7 +244,7 @@ class _Filling:
     def _in_turn(self, tries: Iterable[_Try]) -> Iterator[_Try]:
         """Yield `tries` cell by cell, counterfactual groups first. Within a cell, each next one is the one that brings
         the cell's shares of leaves with 1, 2 or 3 moves nearest to the wanted shares, given what the caller has placed
-        so far; the earliest in case of a tie.
+        so far. In case of a tie, it is the one whose numbers of moves occurred first in the cell.
         """
         cells: dict[InstructionCell | None, dict[tuple[tuple[int, int], ...], deque[_Try]]] = {None: {}}
         for one in tries:

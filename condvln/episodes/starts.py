@@ -72,7 +72,7 @@ class Starts:
         table = distance_table(self._mesh, asked[:count], asked[count:]).astype(np.float64)
         table[~np.isfinite(table)] = np.inf
         spans = [slice(*span) for span in zip(field.first[:-1].tolist(), field.first[1:].tolist(), strict=True)]
-        best = np.array([table[:, span].argmin(axis=1) for span in spans], np.int64).reshape(-1, count)
+        best = np.array([table[:, span].argmin(axis=1) for span in spans], np.int64).reshape(len(spans), count)
         nearest = np.ascontiguousarray((best + field.first[:-1, None]).T)
         distance = np.take_along_axis(table, nearest, axis=1)
         self.nearest, self.distances = best, np.ascontiguousarray(distance.T)

@@ -23,6 +23,9 @@ TOUCH = 0.01
 WALL_THICKNESS = 0.1
 """Thickness in metres of a wall that is known only as a line."""
 
+# Metres: bounds with a shorter diagonal are a point. This is trimesh's ``tol.zero``.
+_POINT = 100 * float(np.finfo(np.float64).resolution)
+
 # Number of rays cast at once: tens of megabytes of temporaries.
 _RAYS = 1 << 18
 
@@ -61,14 +64,13 @@ class MeshOccluders:
 
     def __init__(self, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
         # Imported here because both are slow to load, and boxes need neither.
-        import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
         from condvln.navigation.recast.triangles import checked_triangles
 
         points, corners = checked_triangles(vertices, faces)
         self._triangles = np.array(points[corners], np.float64, order="C")
-        self._caster = RayMeshIntersector(trimesh.Trimesh(points, corners, process=False))
+        self._caster = RayMeshIntersector(_Surface(points, corners))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
         """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`."""
@@ -89,6 +91,21 @@ class MeshOccluders:
         first = np.asarray(self._caster.intersects_first(eyes[rays], direction), np.int64)
         hidden[rays] = blocked_rays(eyes[rays], direction, distance[rays], self._triangles, first, TOUCH)
         return hidden
+
+
+class _Surface:
+    """What embree's intersector reads of a mesh. A ``trimesh.Trimesh`` refers to itself, so that it and embree's scene
+    would stay in memory until Python's garbage collector runs.
+    """
+
+    def __init__(self, vertices: Points, faces: npt.NDArray[np.int64]) -> None:
+        self.vertices, self.faces = np.asarray(vertices, np.float64), faces
+        used = np.zeros(len(vertices), bool)
+        used[faces] = True
+        extents = np.ptp(self.vertices[used], axis=0)
+        diagonal = float((extents**2).sum() ** 0.5)
+        self.scale = diagonal if diagonal >= _POINT else 1.0
+        """Diagonal of the bounds of the faces in metres, or 1 if all are one point, as ``trimesh.Trimesh.scale``."""
 
 
 class BoxOccluders:

@@ -56,3 +56,14 @@ def test_it_stays_off_where_the_caller_switched_it_off() -> None:
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_it_is_on_again_after_a_signal_during_the_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ended() -> None:
+        raise SystemExit
+
+    monkeypatch.setattr(gc, "collect", ended)
+    with pytest.raises(SystemExit), collected_between_units():
+        made = [[] for _ in range(2 * MANY)]
+    assert len(made) == 2 * MANY
+    assert gc.isenabled()

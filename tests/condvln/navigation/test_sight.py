@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from condvln.navigation import occluders as occluders_module
 from condvln.navigation.kernels.first_hits import blocked_rays
@@ -304,3 +308,30 @@ def test_rays_are_blocked_before_the_plane_of_their_triangle() -> None:
         expected.append(met >= 0 and np.clip(plane, along.min(), along.max()) < far - 0.01)
     np.testing.assert_array_equal(blocked_rays(eyes, direction, distance, triangles, first, 0.01), expected)
     assert 50 < sum(expected) < 350
+
+
+@given(st.integers(0, 2**32))
+def test_rays_meet_the_triangles_that_trimesh_says(seed: int) -> None:
+    """Some points belong to no triangle; they do not count for embree's scale."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(12, 3)) * rng.choice([0.0, 0.1, 1.0, 30.0])
+    points = points.astype(np.float32).astype(np.float64)
+    faces = np.array([rng.permutation(9)[:3] for _ in range(8)])
+    eyes, ways = rng.normal(size=(2, 60, 3)) * 3
+    mesh = trimesh.Trimesh(points, faces, process=False)
+    own = MeshOccluders(points, faces)._caster
+    assert own.mesh.scale == mesh.scale
+    assert own.intersects_first(eyes, ways).tolist() == RayMeshIntersector(mesh).intersects_first(eyes, ways).tolist()
+
+
+def test_occluders_are_freed_without_a_garbage_collection() -> None:
+    gc.collect()
+    gc.disable()
+    try:
+        occluders = MeshOccluders([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        assert occluders.hidden(np.array([[0.2, 0.2, -1.0]]), np.array([[0.2, 0.2, 1.0]])).tolist() == [True]
+        seen = weakref.ref(occluders._caster.mesh)
+        del occluders
+        assert seen() is None
+    finally:
+        gc.enable()
