@@ -62,7 +62,8 @@ def encoder_lines(recipe: Recipe) -> list[str]:
     kinds = sorted({name.partition(".")[0] for name in recipe.record.cameras})
     suffixes = {"rgb": "jpg", "depth": "png"}
     return [
-        f"{theirs[suffix]} wrote the {suffix} files of the recipe; {ours[suffix]} writes them here: bytes may differ"
+        f"{theirs.get(suffix, 'An unnamed encoder')} wrote the {suffix} files of the recipe; "
+        f"{ours[suffix]} writes them here: bytes may differ"
         for suffix in (suffixes[kind] for kind in reversed(kinds))
         if theirs.get(suffix) != ours[suffix]
     ]

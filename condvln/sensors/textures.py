@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -30,6 +31,9 @@ READABLE: Final = {"image/png": "PNG", "image/jpeg": "JPEG", "image/webp": "WEBP
 """Images that Pillow decodes, by media type."""
 KTX2: Final = "image/ktx2"
 """Media type of images that the package opengl_basisu decodes, where it is installed (extra `ktx2`)."""
+
+_PACKED: Final = (2, 3)
+"""Supercompression schemes of KTX2 whose levels are decompressed as a whole: Zstandard and zlib."""
 
 Bytes = NDArray[np.uint8]
 
@@ -97,10 +101,30 @@ def _transcoded(data: bytes, edge: int) -> list[Bytes] | None:
             return None
         # The largest of the file's own mipmap levels that is kept, or else the smallest.
         fits = [level for level in range(texture.levels) if max(texture.level_size(level)) <= edge]
-        pixels = texture.transcode("rgba8", fits[0] if fits else texture.levels - 1).data
+        kept = fits[0] if fits else texture.levels - 1
+        if not _is_plausible(data, kept, texture.level_size(kept)):
+            return None
+        pixels = texture.transcode("rgba8", kept).data
         return list(_levels(Image.fromarray(pixels[..., :3]), edge))
-    except ValueError:
+    except (ValueError, struct.error):
         return None
+
+
+def _is_plausible(data: bytes, level: int, size: tuple[int, int]) -> bool:
+    """Return whether a KTX2 file holds one image, and its header claims at most 16 bytes of a level for each block of
+    4 × 4 texels. The decoder allocates what the header claims before it decompresses the level.
+
+    size : width and height of the level in texels
+
+    Raises
+    ------
+    struct.error : the header is cut off
+    """
+    layers, faces, _, compression = struct.unpack_from("<4I", data, 32)
+    _, _, claimed = struct.unpack_from("<3Q", data, 80 + 24 * level)
+    width, height = size
+    most = 16 * -(-width // 4) * -(-height // 4)
+    return layers <= 1 and faces == 1 and (compression not in _PACKED or claimed <= most)
 
 
 def _levels(picture: Picture, edge: int) -> Iterator[Bytes]:

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from condvln.formats.streams import JsonArrayStream, atomic_stream
-from condvln.trajectories.images import IMAGES
+from condvln.trajectories.images import IMAGES, writing
 from schemas.trajectory_tables import TRAJECTORY_TABLES
 
 __all__ = ["ANNOTATIONS", "SceneWalks", "annotation", "write_hub", "write_tables"]
@@ -82,7 +82,9 @@ def write_tables(folder: Path, scenes: Iterable[SceneWalks]) -> Iterator[SceneWa
         for scene in scenes:
             for name, writer in tables.items():
                 table = scene.tables[name]
-                if table.num_rows:
+                if not table.num_rows:
+                    continue
+                with writing(folder / f"{name}.parquet"):
                     writer.write_table(_with_source(table, scene.source), row_group_size=table.num_rows)
             yield scene
 
@@ -98,12 +100,23 @@ _SOURCE: Final = pa.field(
 
 @contextmanager
 def _parquet(path: Path, name: str) -> Iterator[pq.ParquetWriter]:
-    """Yield the writer of a Parquet file; the file appears at `path` only when it is complete."""
+    """Yield the writer of a Parquet file; the file appears at `path` only when it is complete.
+
+    Raises
+    ------
+    StoreError : the file can't be written
+    """
     schema = TRAJECTORY_TABLES[name].append(_SOURCE)
     part = path.with_name(f".{path.name}.part")
     try:
-        with pq.ParquetWriter(part, schema, compression="zstd") as writer:
+        with writing(path):
+            writer = pq.ParquetWriter(part, schema, compression="zstd")
+        try:
             yield writer
-        os.replace(part, path)
+        finally:
+            with writing(path):
+                writer.close()
+        with writing(path):
+            os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)

@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +23,7 @@ from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import StoreError
 from schemas.trajectory_tables import POSES, STEPS
 
-__all__ = ["IMAGES", "ImageWriter", "image_path"]
+__all__ = ["IMAGES", "ImageWriter", "image_path", "writing"]
 
 IMAGES: Final = "images"
 """Folder of all images below the folder of the trajectories."""
@@ -35,6 +36,24 @@ def image_path(trajectory: str, camera: str, frame: int) -> str:
     001; `frame` counts from 0.
     """
     return f"{IMAGES}/{trajectory}/{camera}/{frame + 1:03d}.{'png' if is_depth(camera) else 'jpg'}"
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn the refusals of a file system inside the block into errors of the project. pyarrow's name no file.
+
+    Raises
+    ------
+    StoreError : `path` can't be written
+    """
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(
+            f"can't be written: {error.strerror or error}",
+            where=path,
+            remedy="Free some space and run again; finished scenes stay.",
+        ) from error
 
 
 class ImageWriter:
@@ -72,37 +91,33 @@ class ImageWriter:
         target = self._folder / IMAGES / name
         part = target.with_name(f"{_PART}{os.getpid()}-{name}")
         try:
-            for camera in self._cameras if self._keep else ():
-                (part / camera).mkdir(parents=True, exist_ok=True)
-            places = _columns(steps["position"])
-            # Lists of plain values: a dictionary for each image makes Python's garbage collector walk the whole scene.
-            found: dict[str, list[Any]] = {key: [] for key in ("step", *_IMAGE)}
-            right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
-            for frame, (place, heading) in enumerate(zip(places, steps["heading"].to_pylist(), strict=True)):
-                ahead = places[frame + 1 : mistake_after(right, frame)]
-                for camera, data, seen in self.draw(place, heading):
-                    goal = None
-                    if seen is not None:
-                        slack = self._config.goal_slack
-                        goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, slack)
-                    path = image_path(name, camera, frame)
-                    if self._keep:
-                        _write(f"{part}/{camera}/{path.rpartition('/')[2]}", data)
-                    found["step"].append(frame)
-                    found["camera"].append(camera)
-                    found["image"].append(path)
-                    found["goal"].append(None if goal is None else [goal.column, goal.row])
-                    found["goal_frame"].append(None if goal is None else goal.frames)
-                    found["bytes"].append(len(data))
-                    found["sha256"].append(hashlib.sha256(data).hexdigest())
-            if self._keep:
-                _replace(part, target)
-        except OSError as error:
-            raise StoreError(
-                f"can't be written: {error.strerror or error}",
-                where=target,
-                remedy="Free some space and run again; finished scenes stay.",
-            ) from error
+            with writing(target):
+                for camera in self._cameras if self._keep else ():
+                    (part / camera).mkdir(parents=True, exist_ok=True)
+                places = _columns(steps["position"])
+                # Lists of plain values: a dictionary for each image makes Python's garbage collector walk the whole
+                # scene.
+                found: dict[str, list[Any]] = {key: [] for key in ("step", *_IMAGE)}
+                right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
+                for frame, (place, heading) in enumerate(zip(places, steps["heading"].to_pylist(), strict=True)):
+                    ahead = places[frame + 1 : mistake_after(right, frame)]
+                    for camera, data, seen in self.draw(place, heading):
+                        goal = None
+                        if seen is not None:
+                            slack = self._config.goal_slack
+                            goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, slack)
+                        path = image_path(name, camera, frame)
+                        if self._keep:
+                            _write(f"{part}/{camera}/{path.rpartition('/')[2]}", data)
+                        found["step"].append(frame)
+                        found["camera"].append(camera)
+                        found["image"].append(path)
+                        found["goal"].append(None if goal is None else [goal.column, goal.row])
+                        found["goal_frame"].append(None if goal is None else goal.frames)
+                        found["bytes"].append(len(data))
+                        found["sha256"].append(hashlib.sha256(data).hexdigest())
+                if self._keep:
+                    _replace(part, target)
         finally:
             shutil.rmtree(part, ignore_errors=True)
         return self._rows(steps, found)

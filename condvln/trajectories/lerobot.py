@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from condvln.trajectories.cameras import Cameras, is_depth
 from condvln.trajectories.hub import SceneWalks
+from condvln.trajectories.images import writing
 from condvln.trajectories.layouts import AddScene, new_folder
 
 __all__ = ["lerobot"]
@@ -42,7 +43,12 @@ Row = Mapping[str, Any]
 
 @contextmanager
 def lerobot(folder: Path, split: str, cameras: Cameras) -> Iterator[AddScene]:
-    """Write a LeRobot v3.0 dataset to ``lerobot/``: an episode for each walk, a row for each frame."""
+    """Write a LeRobot v3.0 dataset to ``lerobot/``: an episode for each walk, a row for each frame.
+
+    Raises
+    ------
+    StoreError : a file can't be written
+    """
     with new_folder(folder / "lerobot") as part:
         dataset = _Dataset(folder, part, cameras)
         try:
@@ -63,8 +69,12 @@ class _Dataset:
         self._statistics = {name: _Statistics() for name in self._features}
         self._rows, self._walks, self._file, self._bytes = 0, 0, -1, FILE_BYTES
         self._data: pq.ParquetWriter | None = None
-        path = _file(target, "meta/episodes", 0)
-        self._episodes = pq.ParquetWriter(path, _EPISODES, compression="zstd")
+        with self._writing():
+            path = _file(target, "meta/episodes", 0)
+            self._episodes = pq.ParquetWriter(path, _EPISODES, compression="zstd")
+
+    def _writing(self) -> AbstractContextManager[None]:
+        return writing(self._folder / "lerobot")
 
     def add(self, scene: SceneWalks) -> None:
         poses: dict[tuple[str, str], list[dict[str, Any]]] = {}
@@ -74,7 +84,9 @@ class _Dataset:
             self._walk(row | {"source": scene.source}, [poses[row["frames_of"], name] for name in self._cameras])
             for row in scene.trajectories()
         ]
-        if lines:
+        if not lines:
+            return
+        with self._writing():
             self._episodes.write_table(pa.Table.from_pylist(lines, schema=_EPISODES))
 
     def _walk(self, walk: Row, views: Sequence[Sequence[Row]]) -> dict[str, Any]:
@@ -98,9 +110,9 @@ class _Dataset:
                 {"bytes": data, "path": pose["image"]} for data, pose in zip(files, view, strict=True)
             ]
         arrays = [_array(columns[field.name], field.type) for field in self._schema]
-        self._writer(sum(pose["bytes"] for view in views for pose in view)).write_table(
-            pa.table(arrays, schema=self._schema), row_group_size=walk["n_frames"]
-        )
+        size = sum(pose["bytes"] for view in views for pose in view)
+        with self._writing():
+            self._writer(size).write_table(pa.table(arrays, schema=self._schema), row_group_size=walk["n_frames"])
         self._rows, self._walks = first + walk["n_frames"], number + 1
         return {
             "episode_index": number,
@@ -133,14 +145,16 @@ class _Dataset:
 
     def close(self) -> None:
         """Close the files."""
-        self._episodes.close()
-        if self._data is not None:
-            self._data.close()
+        with self._writing():
+            self._episodes.close()
+            if self._data is not None:
+                self._data.close()
 
     def finish(self, split: str) -> None:
         """Write what is known only at the end: tasks, statistics, and the description of the dataset."""
         meta = self._target / "meta"
-        pq.write_table(_task_table(self._tasks), meta / "tasks.parquet")
+        with self._writing():
+            pq.write_table(_task_table(self._tasks), meta / "tasks.parquet")
         stats = {
             name: found.document(image=feature["dtype"] == "image")
             for name, feature in self._features.items()
@@ -161,8 +175,9 @@ class _Dataset:
             "video_path": None,
             "features": self._features,
         }
-        for name, document in (("info", info), ("stats", stats)):
-            (meta / f"{name}.json").write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n")
+        with self._writing():
+            for name, document in (("info", info), ("stats", stats)):
+                (meta / f"{name}.json").write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n")
 
 
 def _features(cameras: Cameras) -> dict[str, dict[str, Any]]:

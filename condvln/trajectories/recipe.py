@@ -18,7 +18,7 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
@@ -34,6 +34,8 @@ RECORD: Final = "trajectories.json"
 RECIPE_FILES: Final = ("README.md", "left_out.parquet", "poses.parquet", RECORD, "trajectories.parquet")
 """Files of a folder of trajectories that hold nothing of the scenes' images."""
 
+_MOST_PNG_LEVEL: Final = 3
+_PILLOWS_PNG_LEVEL: Final = 9
 _REMEDY: Final = "Ask for the recipe again."
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 SplitText = Annotated[str, Field(pattern=r"^[a-z_]{1,20}$")]
@@ -57,6 +59,20 @@ class RecipeRecord(BaseModel):
     scene_files: dict[str, str] = {}
     libraries: dict[str, str] = {}
     encoders: dict[str, str] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lower_level(cls, found: Any) -> Any:
+        """Lower the compression level of depth images to the highest one of the encoder here. Older records name no
+        encoder; Pillow wrote their images, at levels up to 9. The level does not change the pixels.
+        """
+        config = found.get("config") if isinstance(found, dict) else None
+        if not isinstance(config, dict) or found.get("encoders"):
+            return found
+        level = config.get("png_level")
+        if not isinstance(level, int) or not _MOST_PNG_LEVEL < level <= _PILLOWS_PNG_LEVEL:
+            return found
+        return {**found, "config": {**config, "png_level": _MOST_PNG_LEVEL}}
 
 
 class RecipeScene(NamedTuple):

@@ -75,6 +75,8 @@ def _internvla_scene(
         counts["internvla-n1"] += walk["n_frames"]
         if not _is_internvla(pq.read_table(path), walk, of_walk[walk["frames_of"]], number, tasks):
             yield walk["trajectory"], f"{path.relative_to(target.parent)} is not that of the walk"
+            if pq.read_metadata(path).num_rows != walk["n_frames"]:
+                return
         for kind, camera in images.items():
             suffix = "png" if camera.startswith("depth") else "jpg"
             files.setdefault(f"videos/{chunk}/{kind}", {}).update(
@@ -89,6 +91,8 @@ def _internvla_scene(
 
 def _is_internvla(table: pa.Table, walk: Row, poses: Sequence[Row], number: int, tasks: Mapping[str, int]) -> bool:
     count = walk["n_frames"]
+    if table.num_rows != count or len(poses) != count:
+        return False
     found = table.to_pydict()
     matrices = np.array(found.pop(f"pose.{_DOWN}"), np.float64)
     expected = {
@@ -170,7 +174,9 @@ def lerobot_faults(folder: Path, record: Row, walks: Sequence[Row], counts: Coun
             if next(episodes, None) != wanted:
                 yield walk["trajectory"], "the row of meta/episodes is not the walk's"
             shown = {name: views[walk["frames_of"], name] for name in cameras}
-            if table is None or not _is_lerobot(folder, table, walk, shown, (number, first, task), moments):
+            if table is None or not _is_lerobot(
+                folder, table, walk, shown, record["cameras"], (number, first, task), moments
+            ):
                 yield walk["trajectory"], f"the frames of episode {number} are not those of the walk"
                 return
             counts["lerobot"] += walk["n_frames"]
@@ -203,15 +209,20 @@ def _is_lerobot(
     table: pa.Table,
     walk: Row,
     views: Mapping[str, Sequence[Row]],
+    cameras: Mapping[str, Row],
     place: tuple[int, int, int],
     moments: dict[str, _Moments],
 ) -> bool:
     """Compare the frames of a walk with the hub, and add them to `moments`.
 
+    cameras : the record's, by name
     place : number of the walk, number of its first frame among all frames, number of its task
     """
     count = walk["n_frames"]
     number, first, task = place
+    # Before anything of the claimed length is built.
+    if table.num_rows != count or any(len(view) != count for view in views.values()):
+        return False
     poses = next(iter(views.values()))
     state = np.array([[*map(pose["position"].get, "xyz"), pose["heading"]] for pose in poses], np.float32)
     wanted: dict[str, list[Any]] = {
@@ -247,15 +258,22 @@ def _is_lerobot(
             if found["path"].as_py() != pose["image"] or data != (folder / pose["image"]).read_bytes():
                 return False
             if (first + k) % 50 == 0:
-                moments[column].add(_values(data))
+                moments[column].add(_values(data, cameras[name]))
     return True
 
 
-def _values(data: bytes) -> NDArray[np.float64]:
-    """Return the pixels of an image (n, channels): colours as shares of 255, depth as it is."""
+def _values(data: bytes, camera: Row) -> NDArray[np.float64]:
+    """Return the pixels of an image (n, channels): colours as shares of 255, depth as it is.
+
+    Raises
+    ------
+    ValueError : the image has another size than the camera
+    """
     from PIL import Image
 
     with Image.open(io.BytesIO(data)) as image:
+        if image.size != (camera["width"], camera["height"]):
+            raise ValueError("an image has another size than its camera")
         pixels = np.array(image, np.float64)
     return pixels.reshape(-1, 1) if pixels.ndim == 2 else pixels.reshape(-1, 3) / 255
 
@@ -297,7 +315,9 @@ def _tasks(target: Path) -> list[dict[str, Any]]:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = orjson.loads(path.read_bytes())
+    found = orjson.loads(path.read_bytes())
+    if not isinstance(found, dict):
+        raise ValueError(f"{path.name} holds no JSON object")
     return found
 
 

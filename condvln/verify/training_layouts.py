@@ -31,6 +31,19 @@ _HUB: Final = "streamvln"
 """The layout whose files are the hub's own."""
 
 
+_DAMAGED: Final = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    struct.error,
+    pa.ArrowException,
+)
+"""What a damaged file of a layout raises."""
+
+
 class LayoutProof:
     """The result of proving layouts: how many rows were compared, by layout, and each difference as (walk, what
     differs).
@@ -47,6 +60,8 @@ def prove_layouts(folder: Path, record: Row, walks: Sequence[Row]) -> LayoutProo
     record : content of ``trajectories.json``
     walks : rows of ``trajectories.parquet``, in their order
     """
+    from PIL import Image
+
     proof = LayoutProof()
     checks = {
         "navila": _navila,
@@ -65,7 +80,7 @@ def prove_layouts(folder: Path, record: Row, walks: Sequence[Row]) -> LayoutProo
         try:
             for walk, fault in checks[name](folder, record, walks, proof.rows):
                 proof.faults.append((walk, f"{name}: {fault}"))
-        except (OSError, ValueError, KeyError, TypeError, IndexError, struct.error, pa.ArrowException) as error:
+        except (*_DAMAGED, Image.DecompressionBombError) as error:
             proof.faults.append(("", f"{name}: a file is missing or damaged ({error})"))
     return proof
 

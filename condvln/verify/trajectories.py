@@ -40,6 +40,10 @@ F64 = NDArray[np.float64]
 
 _REMEDY: Final = "Run condvln trajectories again with this folder; it makes damaged images again."
 _CAMERA: Final = ("width", "height", "hfov", "eye_height", "look_down")
+_MOST_PNG_LEVEL: Final = 3
+"""Highest compression level of the encoder here. Records of Pillow's images may have a higher one, which leaves the
+pixels as they are.
+"""
 _ANGLE: Final = 1e-9
 """Largest difference in a component of two equal rotations."""
 
@@ -242,8 +246,11 @@ class _Frames:
         walk = self._walk
         count = walk["n_frames"]
         proof.frames += count
-        wanted = [(frame, name) for frame in range(count) for name in sorted(self._cameras)]
-        if [(row["frame"], row["camera"]) for row in self._rows] != wanted:
+        # The number first: a list of a length that a damaged table claims may not fit into memory.
+        names = sorted(self._cameras)
+        if len(self._rows) != count * len(names) or [(row["frame"], row["camera"]) for row in self._rows] != [
+            (frame, name) for frame in range(count) for name in names
+        ]:
             yield "a frame has no pose, or more than one"
             return
         if any(row["episode_id"] != walk["episode_id"] or row["kind"] != walk["kind"] for row in self._rows):
@@ -344,7 +351,7 @@ class _Frames:
         data = (
             jpeg(frame.rgb, self._images["jpeg_quality"])
             if suffix == "jpg"
-            else png16(frame.depth, self._images["png_level"])
+            else png16(frame.depth, min(self._images["png_level"], _MOST_PNG_LEVEL))
         )
         other = "the pose shows another image"
         if same_encoder and hashlib.sha256(data).hexdigest() != row["sha256"]:
@@ -366,10 +373,10 @@ class _Frames:
             return "the image is not the one that was written"
         try:
             with Image.open(io.BytesIO(data)) as image:
-                image.load()
                 if image.size != (camera.width, camera.height):
                     return "the image has another size"
-        except (OSError, SyntaxError) as error:
+                image.load()
+        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
             return f"the image can't be decoded: {error}"
         return None
 
@@ -416,7 +423,7 @@ def _record(folder: Path) -> dict[str, Any]:
         return {
             "cameras": dict(found["cameras"]),
             "config": dict(found["config"]),
-            "encoders": encoders_of(found.get("libraries", {}), found.get("encoders", {})),
+            "encoders": encoders_of(_texts(found, "libraries"), _texts(found, "encoders")),
             "layouts": list(found["layouts"]),
             "split": str(found["split"]),
             "images_written": bool(found.get("images_written", True)),
@@ -425,6 +432,19 @@ def _record(folder: Path) -> dict[str, Any]:
         raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"not a record of trajectories ({error})", where=path, remedy=_REMEDY) from None
+
+
+def _texts(record: Row, key: str) -> dict[str, str]:
+    """Return a mapping of texts of a record; it may be absent.
+
+    Raises
+    ------
+    TypeError : it is something else
+    """
+    found = record.get(key, {})
+    if not isinstance(found, dict) or not all(isinstance(text, str) for text in found.values()):
+        raise TypeError(f"{key}: not a mapping of names to texts")
+    return found
 
 
 def _annotations(folder: Path) -> list[dict[str, Any]]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -67,6 +69,46 @@ def test_a_ktx2_image_is_seen_about_as_it_is(image: bytes, size: int, mean: floa
     levels = read_picture(image, "image/ktx2", size // 2)
     assert levels is not None
     assert levels[0].shape == (size // 2, size // 2, 3)
+
+
+def packed(claimed: int) -> bytes:
+    """The image UASTC_16 with its level compressed by Zstandard; the header claims a size for the level."""
+    offset, length, _ = struct.unpack_from("<3Q", UASTC_16, 80)
+    level: bytes = pa.compress(UASTC_16[offset : offset + length], codec="zstd", asbytes=True)
+    data = bytearray(UASTC_16[:offset] + level)
+    struct.pack_into("<I", data, 44, 2)
+    struct.pack_into("<3Q", data, 80, offset, len(level), claimed)
+    return bytes(data)
+
+
+def with_word(place: int, value: int) -> bytes:
+    return UASTC_16[:place] + struct.pack("<I", value) + UASTC_16[place + 4 :]
+
+
+def test_a_ktx2_header_cant_ask_for_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    basisu = pytest.importorskip("opengl_basisu", reason="the extra ktx2 is absent")
+    sound, plain = read_picture(packed(256), "image/ktx2"), read_picture(UASTC_16, "image/ktx2")
+    assert sound is not None
+    assert plain is not None
+    np.testing.assert_array_equal(sound[0], plain[0])
+
+    class Opened:
+        """What the decoder finds in the sound image; decoding it is a failure of the test."""
+
+        width, height, levels = 16, 16, 1
+
+        def level_size(self, level: int) -> tuple[int, int]:
+            return 16, 16
+
+        def transcode(self, target: str, level: int) -> Any:
+            raise AssertionError("the level is decoded")
+
+    monkeypatch.setattr(basisu, "open", lambda data: Opened())
+    with pytest.raises(AssertionError, match="is decoded"):
+        read_picture(packed(256), "image/ktx2")
+    layers, faces = with_word(32, 2), with_word(36, 6)
+    for image in (packed(257), packed(1 << 30), layers, faces, UASTC_16[:100]):
+        assert read_picture(image, "image/ktx2") is None
 
 
 def test_without_the_extra_a_note_names_the_file_and_what_reads_ktx2(

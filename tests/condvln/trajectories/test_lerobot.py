@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,12 @@ from PIL import Image
 
 from condvln.formats.image_files import jpeg, png16
 from condvln.trajectories import lerobot as layout
-from condvln.trajectories.hub import SceneWalks
+from condvln.trajectories.hub import SceneWalks, write_tables
 from condvln.trajectories.images import image_path
 from condvln.trajectories.tables import vector
+from condvln.verify.training_layouts import prove_layouts
 from schemas.config import CameraConfig
+from schemas.errors import StoreError
 from schemas.trajectory_tables import LEFT_OUT, POSES, TRAJECTORIES
 
 CAMERA = CameraConfig(width=8, height=6, hfov=79.0, max_depth=None, normalized=False)
@@ -118,3 +122,53 @@ def test_images_decode_to_the_features_shapes(dataset: Path) -> None:
     for name in ("observation.images.rgb", "observation.images.depth.125cm_30deg"):
         with Image.open(dataset.parent / table[name][0]["path"].as_py()) as image:
             assert [image.height, image.width, len(image.getbands())] == features[name]["shape"]
+
+
+@pytest.mark.parametrize("at", ["write_table", "close"])
+def test_a_full_disk_is_an_error_of_the_store(at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyarrow's own error names no file."""
+
+    def full(*given: object, **named: object) -> None:
+        raise OSError("No space left on device")
+
+    scene = scene_of(tmp_path)
+    monkeypatch.setattr(pq.ParquetWriter, at, full)
+    with pytest.raises(StoreError, match="No space left") as found, layout.lerobot(tmp_path, "train", CAMERAS) as add:
+        add(scene)
+    assert "lerobot" in str(found.value)
+    with pytest.raises(StoreError, match="No space left") as found:
+        list(write_tables(tmp_path, [scene]))
+    assert ".parquet" in str(found.value)
+    assert not [*tmp_path.glob("*.part")]
+    assert not [*tmp_path.glob("*.parquet")]
+
+
+def test_what_a_dataset_claims_is_compared_before_it_is_built(tmp_path: Path) -> None:
+    """A number of frames of 2³¹ − 1, an image of 400 megapixels, and statistics that are a list."""
+    scene = scene_of(tmp_path)
+    cameras = {name: camera.model_dump() for name, camera in CAMERAS.items()}
+    record = {"layouts": ["lerobot"], "cameras": cameras, "split": "train"}
+    [*write_tables(tmp_path, [scene])]
+    with layout.lerobot(tmp_path, "train", CAMERAS) as add:
+        add(scene)
+    walks = [walk | {"source": "replicacad"} for walk in scene.trajectories()]
+    assert prove_layouts(tmp_path, record, walks).faults == []
+    long = [walks[0] | {"n_frames": 2**31 - 1}, *walks[1:]]
+    assert prove_layouts(tmp_path, record, long).faults[-1][1].endswith("frames of episode 0 are not those of the walk")
+    (tmp_path / "lerobot/meta/stats.json").write_bytes(b"[]")
+    assert [what for _, what in prove_layouts(tmp_path, record, walks).faults] == [
+        "lerobot: a file is missing or damaged (stats.json holds no JSON object)"
+    ]
+    header = struct.pack(">II", 20_000, 20_000)
+    small = png16(np.full((6, 8), 2.0, np.float32), 1)
+    ihdr = b"IHDR" + header + small[24:29]
+    large = small[:12] + ihdr + struct.pack(">I", zlib.crc32(ihdr)) + small[33:]
+    (tmp_path / image_path(walks[0]["trajectory"], "depth.125cm_30deg", 0)).write_bytes(large)
+    with layout.new_folder(tmp_path / "lerobot"):
+        pass
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(layout, "_pixels", lambda data: np.zeros((1, 1)))
+        with layout.lerobot(tmp_path, "train", CAMERAS) as add:
+            add(scene)
+    ((_, what),) = prove_layouts(tmp_path, record, walks).faults
+    assert what.startswith("lerobot: a file is missing or damaged")

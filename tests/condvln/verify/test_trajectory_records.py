@@ -1,0 +1,95 @@
+"""Records and images of a folder of trajectories that are damaged, or that an older version wrote."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+
+from condvln.formats.image_files import png16
+from condvln.trajectories.recipe import Recipe, RecipeRecord
+from condvln.verify.trajectories import _Frames, prove_trajectories
+from jobs.trajectory_recipe import encoder_lines
+from schemas.config import CameraConfig, TrajectoryConfig
+from schemas.errors import FormatError
+
+CAMERA = CameraConfig(width=8, height=6, hfov=79.0, max_depth=None, normalized=False)
+RECORD: dict[str, Any] = {
+    "split": "train",
+    "layouts": ["streamvln"],
+    "cameras": {name: CAMERA.model_dump(mode="json") for name in ("rgb", "depth.a")},
+    "config": TrajectoryConfig().model_dump(mode="json"),
+}
+DEPTH = np.full((6, 8), 2.0, np.float32)
+
+
+@pytest.mark.parametrize("part", [{"libraries": None}, {"libraries": []}, {"encoders": "x"}, {"encoders": {"jpg": 1}}])
+def test_a_damaged_record_is_named(part: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | part))
+    with pytest.raises(FormatError, match="not a record of trajectories"):
+        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("level", range(12))
+def test_the_level_of_older_records_is_lowered(level: int) -> None:
+    config = RECORD["config"] | {"png_level": level}
+    if level <= 9:
+        assert RecipeRecord.model_validate(RECORD | {"config": config}).config.png_level == min(level, 3)
+    else:
+        with pytest.raises(ValueError, match="png_level"):
+            RecipeRecord.model_validate(RECORD | {"config": config})
+    if level > 3:
+        with pytest.raises(ValueError, match="png_level"):
+            RecipeRecord.model_validate(RECORD | {"config": config, "encoders": {"png": "isal 1.0"}})
+
+
+def test_an_encoder_that_the_record_does_not_name(tmp_path: Path) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"encoders": {"jpg": "x"}}))
+    lines = encoder_lines(Recipe(tmp_path))
+    assert [line.partition(" wrote the ")[0] for line in lines] == ["x", "An unnamed encoder"]
+
+
+def fault_of(folder: Path, data: bytes) -> str | None:
+    """What is wrong with a depth image of a record of level 9, which Pillow wrote."""
+    place = "images/a/depth.a/001.png"
+    (folder / place).parent.mkdir(parents=True)
+    (folder / place).write_bytes(data)
+    row = {"trajectory": "a", "camera": "depth.a", "frame": 0, "image": place}
+    row |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    frame = SimpleNamespace(rgb=np.zeros((6, 8, 3), np.uint8), depth=DEPTH)
+    renderer = SimpleNamespace(look=lambda *given: frame)
+    world: Any = SimpleNamespace(render_every=1, renderer=lambda episode: renderer)
+    images = {"png_level": 9, "encoders": {"png": "Pillow 11"}}
+    frames = _Frames(folder, {}, [], {"depth.a": CAMERA}, images, world)
+    proof: Any = SimpleNamespace(rendered=0)
+    episode: Any = None
+    return frames._image(row, np.zeros(3), 0.0, episode, proof)
+
+
+def test_images_of_a_high_level_are_rendered_again(tmp_path: Path) -> None:
+    assert fault_of(tmp_path, png16(DEPTH, 1)) is None
+    assert fault_of(tmp_path / "other", png16(DEPTH + 1, 1)) == "the pose shows another image"
+
+
+@pytest.mark.parametrize("edge", [7, 12_000, 40_000])
+def test_an_image_that_claims_a_large_size_is_a_fault(edge: int, tmp_path: Path) -> None:
+    small = png16(DEPTH, 1)
+    header = b"IHDR" + struct.pack(">II", edge, edge) + small[24:29]
+    fault = fault_of(tmp_path, small[:12] + header + struct.pack(">I", zlib.crc32(header)) + small[33:])
+    assert fault is not None
+    assert fault.startswith("the image ")
+
+
+def test_a_number_of_frames_is_compared_before_a_list_is_built() -> None:
+    walk = {"n_frames": 2**31 - 1}
+    world: Any = None
+    frames = _Frames(None, walk, [], {"rgb": CAMERA}, {}, world)
+    proof: Any = SimpleNamespace(frames=0)
+    assert [*frames.faults(proof)] == ["a frame has no pose, or more than one"]
