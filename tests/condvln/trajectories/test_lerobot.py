@@ -164,8 +164,6 @@ def test_what_a_dataset_claims_is_compared_before_it_is_built(tmp_path: Path) ->
     ihdr = b"IHDR" + header + small[24:29]
     large = small[:12] + ihdr + struct.pack(">I", zlib.crc32(ihdr)) + small[33:]
     (tmp_path / image_path(walks[0]["trajectory"], "depth.125cm_30deg", 0)).write_bytes(large)
-    with layout.new_folder(tmp_path / "lerobot"):
-        pass
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(layout, "_pixels", lambda data: np.zeros((1, 1)))
         with layout.lerobot(tmp_path, "train", CAMERAS) as add:

@@ -78,6 +78,7 @@ def test_images_of_a_high_level_are_rendered_again(tmp_path: Path) -> None:
     assert fault_of(tmp_path / "other", png16(DEPTH + 1, 1)) == "the pose shows another image"
 
 
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
 @pytest.mark.parametrize("edge", [7, 12_000, 40_000])
 def test_an_image_that_claims_a_large_size_is_a_fault(edge: int, tmp_path: Path) -> None:
     small = png16(DEPTH, 1)
