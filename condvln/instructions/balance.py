@@ -50,20 +50,39 @@ def _fitted(true: Bools, false: Bools, ways: Sequence[Sequence[int]]) -> dict[bo
     counts that leaves any cell.
     """
     for kept in ways:
-        tables = [true.astype(np.float64), false.astype(np.float64)]
-        for _ in range(BALANCING_ROUNDS):
-            before = tables
-            for axis in kept:
-                others = tuple(k for k in range(true.ndim) if k != axis)
-                sums = [t.sum(axis=others, keepdims=True) for t in tables]
-                target = np.sqrt(sums[0] * sums[1])
-                tables = [
-                    t * np.divide(target, s, out=np.zeros_like(s), where=s > 0)
-                    for t, s in zip(tables, sums, strict=True)
-                ]
-            if all(map(np.array_equal, before, tables)):
-                break  # further rounds would change nothing
-        if all(t.any() for t in tables):
+        cells = (true, false)
+        while all(c.any() for c in cells):
+            tables = _balanced(cells, kept)
             tables = [np.where(t < LEAST_WEIGHT * t.max(), 0.0, t) for t in tables]
-            return {True: tables[0], False: tables[1]}
+            left = _with_both_truths(tables, kept)
+            if all(c.any() for c in left) and all(np.array_equal(t > 0, c) for t, c in zip(tables, left, strict=True)):
+                return {True: tables[0], False: tables[1]}
+            cells = left  # a value that kept one truth would reveal it: the rest is fitted without it
     return None
+
+
+def _balanced(cells: Sequence[Bools], kept: Sequence[int]) -> list[F64]:
+    """Return weights of the true and of the false cells after proportional fitting along the `kept` axes."""
+    tables = [c.astype(np.float64) for c in cells]
+    for _ in range(BALANCING_ROUNDS):
+        before = tables
+        for axis in kept:
+            others = tuple(k for k in range(tables[0].ndim) if k != axis)
+            sums = [t.sum(axis=others, keepdims=True) for t in tables]
+            target = np.sqrt(sums[0] * sums[1])
+            tables = [
+                t * np.divide(target, s, out=np.zeros_like(s), where=s > 0) for t, s in zip(tables, sums, strict=True)
+            ]
+        if all(map(np.array_equal, before, tables)):
+            break  # further rounds would change nothing
+    return tables
+
+
+def _with_both_truths(tables: Sequence[F64], kept: Sequence[int]) -> tuple[Bools, Bools]:
+    """Return masks of the cells with a weight whose value on each of the `kept` axes has weights of both truths."""
+    true, false = (t > 0 for t in tables)
+    for axis in kept:
+        others = tuple(k for k in range(true.ndim) if k != axis)
+        both = true.any(axis=others, keepdims=True) & false.any(axis=others, keepdims=True)
+        true, false = true & both, false & both
+    return true, false
