@@ -159,7 +159,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
     elif not supposing:
         raise ValueError('a claim without "if"')
     else:
-        truth = slot.form == "asserted"
+        truth = slot.form in ("asserted", "joined")
         before = listener.context
         asked_in = [context for context, condition, _ in listener.asks if condition == slot.index]
         if asked_in and not before:

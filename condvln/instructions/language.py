@@ -45,23 +45,29 @@ LEAF_LETTERS: Final = "xyzw"
 SLOTS: Final = (
     "exists", "absent", "exists_again", "is_there", "is", "is_not", "is_again", "asks_is",
     "see", "check", "for", "look", "look_at", "it_is", "it_is_not", "yes_one", "no_one", "yes_it", "no_it",
+    "also", "nor", "same_place",
     "go", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
 
-Form = Literal["asserted", "denied", "question", "see", "yes", "no", "lacks", "again", "not_again", "leaf"]
+Form = Literal[
+    "asserted", "denied", "joined", "not_joined", "question", "see", "yes", "no", "lacks", "again", "not_again", "leaf"
+]
 
 _WORDS_OF: Final[Mapping[Form, int]] = {
-    "asserted": 8, "denied": 8, "question": 8, "see": 9, "yes": 2, "no": 2, "lacks": 3,
+    "asserted": 8, "denied": 8, "joined": 7, "not_joined": 7, "question": 8, "see": 9, "yes": 2, "no": 2, "lacks": 3,
     "again": 4, "not_again": 4, "leaf": 0,
 }  # fmt: skip
 """Approximate number of words of a slot's phrase."""
 
+_ASKING: Final = frozenset({"asserted", "denied", "joined", "not_joined", "question", "see"})
+"""Forms that state a condition in full, so that a text may begin with them."""
+
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
 _FORMS: Final[Mapping[str, Form]] = {
     "see ": "see", "yes ": "yes", "no ": "no", "lacks ": "lacks",
-    "again ": "again", "-again ": "not_again", "-": "denied", "": "asserted",
+    "again ": "again", "-again ": "not_again", "+-": "not_joined", "+": "joined", "-": "denied", "": "asserted",
 }  # fmt: skip
 
 
@@ -352,7 +358,7 @@ def _template(
             pieces.append(part)
     shape = SHAPES[category]
     slots = [piece for piece in pieces if isinstance(piece, Slot)]
-    asked = {slot.index for slot in slots if slot.form in ("asserted", "denied", "question", "see")}
+    asked = {slot.index for slot in slots if slot.form in _ASKING}
     leaves = sorted(slot.index for slot in slots if slot.form == "leaf")
     if asked != set(range(len(shape.branches))) or leaves != list(range(shape.leaves)):
         raise AssertionError(f"template does not ask each condition and name each leaf once: {entry['text']}")

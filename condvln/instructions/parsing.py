@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, Final
 
 from lark import Lark, Token, Tree
@@ -98,7 +98,7 @@ class _GrammarWriter:
     def source(self) -> str:
         w, rules = self.words, []
         for name, phrases in w.slots.items():
-            if name not in ("then", "second", "last", "there", *ANSWERS):
+            if name not in ("then", "second", "last", "there", "same_place", *ANSWERS) and phrases:
                 rules.append(f"_{name}: {self._any(phrases)}")
         rules.append(f"_joint: {self._any([*w.slots['then'], *w.slots['second'], *w.slots['last']])}")
         there = " | there" if w.slots["there"] else ""
@@ -124,7 +124,8 @@ class _GrammarWriter:
             f"    | {compared} [_where_of]",
             *(["    | compound"] if w.compounds[0] else []),
             "compound: _THE ROOM NOUN",
-            "_where: _in room",
+            "_where: _in room" + (" | here" if w.slots["same_place"] else ""),
+            *([f"here: {self._any(w.slots['same_place'])}"] if w.slots["same_place"] else []),
             f"_where_anchor: _of_anchor room{there}",
             f"_where_of: _of room{there}",
             "room: _THE (ROOM | BOTH) [_with _THE _noun]",
@@ -143,6 +144,8 @@ class _GrammarWriter:
             "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
             "    | COMMA _in room COMMA _THE _noun _is_not (qualifier | bearing) -> the",
             *(["    | compound _is_not (qualifier | bearing) -> the"] if w.compounds[0] else []),
+            "joined: asserted" + (" | _also _noun [qualifier] [_where] -> some" if w.slots["also"] else ""),
+            "not_joined: denied" + (" | _nor _noun [qualifier] [_where] -> some" if w.slots["nor"] else ""),
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
             "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
             *(["    | _asks_is compound (qualifier | bearing) QUESTION -> the"] if w.compounds[0] else []),
@@ -162,7 +165,7 @@ class _GrammarWriter:
         bodies: dict[str, str] = {}
         for category in CATEGORIES:
             for k, template in enumerate(w.templates[category]):
-                whole = " ".join(self._part(piece) for piece in template.pieces)
+                whole = " ".join(self._parts(template.pieces))
                 # Templates that differ only in {yes A} and {again A} are parsed as one.
                 for right in _split(whole):
                     bodies.setdefault(right, f"{category}_{k}")
@@ -192,6 +195,13 @@ class _GrammarWriter:
         """
         slots = self.words.slots
         return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
+
+    def _parts(self, pieces: Sequence[str | Slot]) -> Iterator[str]:
+        """Yield the grammar of each piece of a template. The comma before "but no lamp" is left out by the renderer."""
+        for piece, after in pairwise((*pieces, "")):
+            part = self._part(piece)
+            joined = isinstance(after, Slot) and after.form in ("joined", "not_joined")
+            yield part.replace("COMMA ", "COMMA? ") if joined else part
 
     def _part(self, piece: str | Slot) -> str:
         if isinstance(piece, Slot):
@@ -396,7 +406,7 @@ class _TreeReader:
                 elif child.data == "compound":
                     room = self._place(child)
                     label = self.labels[_plain(_tokens(child)[1])]
-                elif child.data == "there":
+                elif child.data in ("there", "here"):
                     if self.last_room is None:
                         raise FormatError("the text says 'there' before it names a room")
                     room = self.last_room

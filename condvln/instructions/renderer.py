@@ -23,6 +23,8 @@ LOOK_SHARE: Final = 0.4
 """Share of the other requests about an indefinite object that say "look for", not "see if there is"."""
 COMPOUND_SHARE: Final = 0.6
 """Share of texts that say "the kitchen sink", not "the sink in the kitchen"."""
+_JOINED: Final = ("joined", "not_joined")
+"""Forms of a condition behind another one, after "and" or "but"."""
 _PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
 """Slot of the preposition before a room: of what is there, of what belongs there, behind the anchor of a stop."""
 
@@ -50,6 +52,7 @@ class Renderer:
         self._asked_by_exists = self._asked_by_look = False
         self._looked_at: int | None = None
         self._denied: int | None = None
+        self._denied_behind = -1, ""
         self._types: Counter[str] = Counter()
         self._introduced: set[RoomRef] = set()
         self._bearing: int | None = None
@@ -62,6 +65,9 @@ class Renderer:
         self._once: frozenset[str] = frozenset()
         self._compounds = False
         self._there = False
+        self._is_joined_next = self._is_gapped = False
+        self._existential: bool | None = None
+        self._clause_room: RoomRef | None = None
 
     def program(self, program: Program) -> str:
         rooms = _rooms(program)
@@ -70,20 +76,34 @@ class Renderer:
             self._shared = _shared(program)
         asked = Counter(condition.label for condition in program.conditions)
         self._once = frozenset(label for label, count in asked.items() if count == 1)
-        if self.words.restates_noun:
-            elsewhere = {label for leaf in program.leaves for move in leaf.moves for label in _labels(move)}
-            elsewhere |= {label for condition in program.conditions for label in _labels(condition)[1:]}
-            self._noun_only = self._once - elsewhere
+        elsewhere = {label for leaf in program.leaves for move in leaf.moves for label in _labels(move)}
+        elsewhere |= {label for condition in program.conditions for label in _labels(condition)[1:]}
+        self._noun_only = self._once - elsewhere
         self._compounds = bool(self.words.compounds[0]) and self._chance(COMPOUND_SHARE)
         opening = self._scope(rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         template = self.draws.choice(_sayable(templates, program, bool(opening)) if not self.short else templates)
         self._whether, self._answered_next = template.whether, template.answered
-        texts = [piece if isinstance(piece, str) else self._slot(piece, program) for piece in template.pieces]
-        body = "".join(texts)
+        body = self._filled_in(template, program)
         if self._is_room_first:
             body = body.replace(" , ", ", ")
         return sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
+
+    def _filled_in(self, template: Template, program: Program) -> str:
+        texts: list[str] = []
+        ends = (*template.pieces, "", "")
+        for k, piece in enumerate(template.pieces):
+            if isinstance(piece, str):
+                texts.append(piece)
+                continue
+            after = ends[k + 2]
+            self._is_joined_next = isinstance(after, Slot) and after.form in _JOINED
+            self._is_gapped = False
+            said = self._slot(piece, program)
+            if self._is_gapped:
+                texts[-1] = texts[-1].removeprefix(",")  # "if there's a lamp but no bed"
+            texts.append(said)
+        return "".join(texts)
 
     def _phrase(self, slot: str) -> str:
         """Return the phrase that this text uses for a slot."""
@@ -118,15 +138,13 @@ class Renderer:
 
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
-            leaf, room, introduced = program.leaves[slot.index], self.last_room, set(self._introduced)
+            leaf, room = program.leaves[slot.index], self.last_room
             said = self.moves(leaf)
-            self._answered = "", 0
+            self._answered, self._clause_room = ("", 0), None
             if any(move.is_bearing or move.room != room for move in leaf.moves):
                 # "there" would not be understood as a room of another branch, though that one was named last; nor is
                 # the next question about the room of the question before these stops.
                 self.last_room = self._room_asked = None
-            # Nor would "that bedroom" be understood as a room that only another branch has named.
-            self._introduced = introduced
             return said
         condition = program.conditions[slot.index]
         form = slot.form
@@ -141,30 +159,47 @@ class Renderer:
                 self._asked_by_exists, self._asked_by_look = True, False
                 return self._filled("absent", condition)
             form = "no"
+        if form == "yes" and self._is_doubtful(condition, slot.index):
+            form = "again"
         if form in ("yes", "no"):
             answer = self.words.answered(self._answer(form, condition, slot.index), self._noun(condition))
             if (answer, self._requests - 1) != self._answered:
                 self._answered = answer, self._requests
+                self._existential, self._clause_room = None if condition.definite else form == "yes", None
                 return answer
             # "If it is, see if … If it is, …": the second could be confused with the first.
             form = "again" if form == "yes" else "not_again"
-        asserted = form in ("asserted", "again")
+        asserted = form in ("asserted", "joined", "again")
+        if form in ("denied", "not_joined", "not_again"):
+            self._denied = slot.index
+            self._denied_behind = (slot.index if self._answered[0] else -1, self._answered[0])
         again = slot.index in self._asked
         self._asked.add(slot.index)
         self._is_beside = not again and self._is_in_room_asked(condition)
-        self._room_asked = condition.room.room_id
+        joined = form in _JOINED
+        # "If there's a bed in the bedroom and a bath in the bathroom, look at the lamp": in which room?
+        is_second_room = joined and self._room_asked != condition.room.room_id
+        self._room_asked = None if is_second_room else condition.room.room_id
         if again and not self._is_shared(condition):
             # "But if there's no bowl, …" is enough where one bowl was asked about.
             full = condition.qualifier is not None or condition.label in self._once
             full = full and not (self._elided(condition.room) and condition.label not in self._noun_only)
             if full or form in ("again", "not_again"):
                 self._room_asked = None
-                return self._again(condition, "_again" if slot.form == "again" else "" if asserted else "_not")
+                kind = "_again" if slot.form == "again" else "" if asserted else "_not"
+                return self._again(condition, kind, joined=joined)
         if form == "question":
             return self._question(condition)
         if form == "see":
             return self._see(condition, slot.index)
-        return self._clause(condition, asserted=asserted)
+        return self._clause(condition, asserted=asserted, joined=joined)
+
+    def _is_doubtful(self, condition: Condition, index: int) -> bool:
+        """Return whether the answer "there is one" or "it is" could mean either of two things that were named together:
+        "if there is one but no rug, …; if there is one, …".
+        """
+        denied, answer_before = self._denied_behind
+        return index == denied and (not condition.definite or answer_before in self.voice.slots["yes_it"])
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
         """Return whether a condition is about a definite object ("the lamp") in the room of the last question. This
@@ -188,6 +223,8 @@ class Renderer:
         phrases = self.voice.slots[slot]
         if len(phrases) == 1:
             return phrases[0]
+        if self._is_joined_next and self.voice.slots["also"]:
+            return phrases[0]  # "if there is one but no lamp", not "if there is but no lamp"
         if not self._asked_by_exists and not condition.definite:
             phrases = tuple(phrase for phrase in phrases if phrase not in self.words.elliptic)
         if self.words.found and not condition.definite:
@@ -214,7 +251,14 @@ class Renderer:
 
     # -- conditions ----------------------------------------------------------------------------------------------------
 
-    def _clause(self, condition: Condition, *, asserted: bool) -> str:
+    def _clause(self, condition: Condition, *, asserted: bool, joined: bool = False) -> str:
+        """Return a condition as a clause, asserted or denied.
+
+        joined : whether the clause is behind another one, so that words which both have may be left out
+        """
+        gapped = joined and not condition.definite and self._existential in ((True,) if asserted else (True, False))
+        beside = joined and self._clause_room == condition.room and bool(self.voice.slots["same_place"])
+        self._existential, self._clause_room = None if condition.definite else asserted, condition.room
         if condition.definite:
             verb = self._phrase("is" if asserted else "is_not")
             if self._is_set_apart(condition.room) and not self._is_beside:
@@ -229,24 +273,38 @@ class Renderer:
             return said
         self._asked_by_exists, self._asked_by_look = True, False
         self._know(condition)
-        there = self._filled("exists" if asserted else "absent", condition)
+        there = self._there_is(condition, asserted=asserted, gapped=gapped)
+        if beside and not self._elided(condition.room):
+            return f"{there}{self._relation(condition)} {self._phrase('same_place')}"
         if self.words.room_first and not self._elided(condition.room):
             return f"{self._phrase('in')} {self._room(condition.room)} {there}{self._relation(condition)}"
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
 
-    def _again(self, condition: Condition, kind: str) -> str:
+    def _there_is(self, condition: Condition, *, asserted: bool, gapped: bool, kind: str = "") -> str:
+        """Return "there's a lamp", or "a lamp" (`gapped`) behind another clause with "there's"."""
+        slot = ("also", "nor") if self.voice.slots["also"] else None
+        if gapped and slot is not None:
+            self._is_gapped = True
+            return self._filled(slot[0] if asserted else slot[1], condition)
+        return self._filled(f"exists{kind}" if asserted else "absent", condition)
+
+    def _again(self, condition: Condition, kind: str, *, joined: bool = False) -> str:
         """Return the words that repeat an earlier condition, without its room. The next stop then does not use "there",
         since other rooms were named in between.
 
         kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
         """
         self.last_room, self._asked_by_exists, self._asked_by_look = None, True, False
+        asserted = kind != "_not"
+        gapped = joined and not condition.definite and self._existential in ((True,) if asserted else (True, False))
+        self._existential, self._clause_room = None if condition.definite else asserted, None
         if condition.definite:
             return (
                 f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
             )
-        relation = "" if kind == "_not" and condition.label in self._noun_only else self._relation(condition)
-        return f"{self._filled('absent' if kind == '_not' else f'exists{kind}', condition)}{relation}"
+        relation = "" if condition.label in self._noun_only else self._relation(condition)
+        there = self._there_is(condition, asserted=asserted, gapped=gapped, kind=kind if asserted else "")
+        return f"{there}{relation}"
 
     def _question(self, condition: Condition) -> str:
         self._know(condition)
@@ -439,9 +497,7 @@ class Renderer:
         return room.anchor_label is not None and not self._is_introduced(room) and not self._elided(room)
 
     def _is_introduced(self, room: RoomRef) -> bool:
-        """Whether "that bedroom" can only mean this room, which the text has named by an object in it: in an earlier
-        question, or in the same leaf.
-        """
+        """Whether "that bedroom" can only mean this room, which the text has named by an object in it."""
         return room in self._introduced and self._types[room.label] == 1
 
     def _room(self, room: RoomRef) -> str:

@@ -246,6 +246,9 @@ class PhraseReader:
         for end, _, _ in self._of(at, "of" if belonging else "of_anchor" if behind else "in"):
             for stop, room in self._rooms(end):
                 yield stop, room, room
+        if last is not None and not belonging and not behind:
+            for end, _, _ in self._of(at, "same_place"):
+                yield end, last, last
         if last is not None and (belonging or behind):
             for end, _, _ in self._of(at, "there"):
                 yield end, last, last
@@ -352,6 +355,13 @@ class PhraseReader:
             for found in (self._some(some, at, last), self._known(known, at, last), self._known_in(known, at)):
                 for end, what, named in found:
                     yield end, present, what, named
+
+    @_parsed_once
+    def _joined(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
+        """Parse claims without their verb: "a lamp in the kitchen" behind "if there's a bed and"."""
+        for present, slot in ((True, "also"), (False, "nor")):
+            for end, what, named in self._some(slot, at, last):
+                yield end, present, what, named
 
     @_parsed_once
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:

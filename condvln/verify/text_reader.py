@@ -172,11 +172,17 @@ class _Reader(PhraseReader):
                 yield from self._comma(meant, ask.context & ~supposed, base)
         yield from self._request(state, context & base, base)
 
-    def _supposed(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
-        """Parse a claim after "if", and its consequences."""
+    def _supposed(
+        self, state: _State, context: int, base: int, *, joined: bool = False
+    ) -> Iterator[tuple[_State, int]]:
+        """Parse a claim after "if", and its consequences.
+
+        joined : whether it is behind another claim, so that "there's" may be left out: "if there's a lamp but no bed"
+        """
         if state.listed is not None:
             context &= ~state.listed
-        for claimed, present, what, room in self._said(state.at, state.room):
+        claims = self._said(state.at, state.room)
+        for claimed, present, what, room in [*claims, *self._joined(state.at, state.room)] if joined else claims:
             end = next((after for after, _, _ in self._of(claimed, "either")), claimed)
             for k, named in self._condition(state, what):
                 asked = [ask.context for ask in state.asks if ask.condition == k]
@@ -236,10 +242,10 @@ class _Reader(PhraseReader):
         "if not, but there's a chair, …".
         """
         yield from self._comma(state, context, base)
-        if self._is(state.at, ","):
-            for joint in ("and", "but"):
-                for end, _, _ in self._of(state.at + 1, joint):
-                    yield from self._supposed(state._replace(at=end), context, base)
+        behind_comma = self._is(state.at, ",")
+        for joint in ("and", "but"):
+            for end, _, _ in self._of(state.at + behind_comma, joint):
+                yield from self._supposed(state._replace(at=end), context, base, joined=True)
 
     def _comma(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """Parse what follows a comma, for the cases `context`: moves, a request to look, or another "if"."""

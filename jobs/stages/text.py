@@ -37,7 +37,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 21
+    version: int = 22
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 
