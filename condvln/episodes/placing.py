@@ -136,7 +136,7 @@ def reachable_stops(pathfinder: Pathfinder, field: GoalField, separation: float)
         on[k, pathfinder.get_islands(points)] = True
     # Two objects without a path between them do not count as apart: a program could not lead from one to the other.
     shared = (on.astype(np.int64) @ on.T.astype(np.int64)) > 0
-    return Stops(tuple(field.goals), (field.gaps(separation) >= separation) & shared)
+    return Stops(tuple(field.goals), field.apart(separation) & shared)
 
 
 class Placer:
@@ -203,32 +203,20 @@ class Placer:
         return Starts(self.pathfinder, self.field, self.starts, self._solid)
 
     @cached_property
-    def _in_range(self) -> NDArray[np.bool_]:
-        """Mask (n, s): whether each object may be the goal of a leaf from each start."""
-        low, high = self.rules.range(self.scene.single_room)
-        away = self._from_starts.distances
-        return self._is_apart & (away >= low) & (away <= high)
-
-    @cached_property
-    def _is_apart(self) -> NDArray[np.bool_]:
-        """Mask (n, s): whether each object may be a stop from each start."""
-        return np.asarray(self._from_starts.distances > 2 * self.tau)
-
-    @cached_property
-    def _gaps(self) -> F64:
-        return self.field.gaps(self.leaf_separation)
+    def _apart(self) -> NDArray[np.bool_]:
+        return self.field.apart(self.leaf_separation)
 
     @property
     def leaf_separation(self) -> float:
         """Minimum geodesic distance in metres that the goals of two leaves must have in this scene."""
         return self.places.leaf_separation(self.scene.single_room)
 
-    def gap(self, one: str, other: str) -> float:
-        """Return the least geodesic distance in metres between the goal points of two objects, capped at the leaf
+    def _is_near(self, one: str, other: str, least: float) -> bool:
+        """Return whether the geodesic distance between two objects is less than `least`, which is at most the leaf
         separation.
         """
-        order = self._order
-        return float(self._gaps[order[one], order[other]])
+        here, there = self._order[one], self._order[other]
+        return not self._apart[here, there] and (here == there or self.field.gap(here, there) < least)
 
     @cached_property
     def _order(self) -> dict[str, int]:
@@ -246,11 +234,11 @@ class Placer:
             raise Rejected("object_without_goal_point")
         for k, one in enumerate(stops):
             for other in stops[k + 1 :]:
-                if self.gap(one[-1], other[-1]) < self.leaf_separation:
+                if self._is_near(one[-1], other[-1], self.leaf_separation):
                     raise Rejected("leaves_too_close")
         for moves in stops:
             for one_stop, next_stop in pairwise(moves):
-                if self.gap(one_stop, next_stop) < 2 * self.tau:
+                if self._is_near(one_stop, next_stop, 2 * self.tau):
                     raise Rejected("moves_too_close")
 
     def place(
@@ -343,9 +331,12 @@ class Placer:
         return Facings(self.scene, self.starts, self.thresholds, self.sightings)
 
     def _starts_in_range(self, leaves: Sequence[Sequence[int]]) -> NDArray[np.int64]:
-        goals, stops = [leaf[-1] for leaf in leaves], [stop for leaf in leaves for stop in leaf[:-1]]
-        good = self._in_range[goals].all(axis=0)
-        return np.flatnonzero(good & self._is_apart[stops].all(axis=0) if stops else good)
+        """Return the starts from which every stop and every goal of the leaves is far enough, and no goal too far."""
+        low, high = self.rules.range(self.scene.single_room)
+        goals = self._from_starts.distances([leaf[-1] for leaf in leaves])
+        stops = self._from_starts.distances([stop for leaf in leaves for stop in leaf[:-1]])
+        good = ((goals > 2 * self.tau) & (goals >= low) & (goals <= high)).all(axis=0)
+        return np.flatnonzero(good & (stops > 2 * self.tau).all(axis=0))
 
     def _starts_without_detour(self, leaves: Sequence[Sequence[int]], possible: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the starts of `possible` from which no leaf's route exceeds the detour limit."""
@@ -354,7 +345,7 @@ class Placer:
         good = np.ones(len(possible), dtype=bool)
         for leaf in leaves:
             if len(leaf) > 1:
-                direct = self._from_starts.distances[leaf[-1], possible]
+                direct = self._from_starts.distances(leaf[-1:])[0, possible]
                 route = self._from_starts.route_lengths(possible, leaf)
                 good &= route <= self.rules.detour_factor * direct + self.rules.detour_slack
         return possible[good]
@@ -369,7 +360,7 @@ class Placer:
         low, high = lengths
         good = np.ones(len(possible), dtype=bool)
         for leaf in leaves:
-            goal = self._from_starts.distances[leaf[-1], possible]
+            goal = self._from_starts.distances(leaf[-1:])[0, possible]
             good &= goal <= high
             if len(leaf) == 1:
                 good &= goal >= low
@@ -399,7 +390,7 @@ class Placer:
         placed = []
         for leaf, stops, route in zip(program.leaves, leaves, routes, strict=True):
             goals = self._from_starts.ordered_goals(at, stops[-1])
-            direct = float(self._from_starts.distances[stops[-1], at])
+            direct = float(self._from_starts.distances(stops[-1:])[0, at])
             walk = self._walk(start, yaw, route)
             placed.append(PlacedLeaf(tuple(m.object_id for m in leaf.moves), goals, route, direct, walk))
         return Placement(start, yaw, tuple(placed), self.tau)

@@ -9,16 +9,18 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from condvln.compiled import register_warm_up
+from condvln.episodes.kernels.distances import apart_objects
 from condvln.episodes.kernels.ways import comes_within, least_distance, passes_through
-from condvln.navigation.protocol import PathfinderProtocol
-from schemas.config.constants import SNAP_AT_MOST
+from condvln.navigation.kernels.projection import ANY_ISLAND, project
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.points import many_points
 
 __all__ = ["GoalField", "Route", "clearance"]
 
 F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,8 +37,8 @@ class Route:
     length: float
 
 
-_GAPS: Final[WeakKeyDictionary[PathfinderProtocol, dict[tuple[float, bytes, bytes], F64]]] = WeakKeyDictionary()
-"""Cache of the latest gaps of each pathfinder in use."""
+_APART: Final[WeakKeyDictionary[Pathfinder, dict[tuple[float, bytes, bytes], Bools]]] = WeakKeyDictionary()
+"""Cache of the latest answer of each pathfinder in use."""
 
 
 class GoalField:
@@ -49,46 +51,36 @@ class GoalField:
     first : (n + 1,) index of the first point of each of the n objects
     """
 
-    def __init__(self, pathfinder: PathfinderProtocol, goals: Mapping[str, F64]) -> None:
+    def __init__(self, pathfinder: Pathfinder, goals: Mapping[str, F64]) -> None:
         self.pathfinder = pathfinder
         self.goals = dict(goals)
         self.points = np.concatenate([*self.goals.values(), np.empty((0, 3))])
         counts = [len(points) for points in self.goals.values()]
         self.first = np.cumsum([0, *counts], dtype=np.int64)
-        self._owner = np.repeat(np.arange(len(self.goals)), counts)
 
     def __contains__(self, object_id: str) -> bool:
         return object_id in self.goals
 
-    def gaps(self, enough: float) -> F64:
-        """Return the least geodesic distances (n, n) between the goal points of each two of the n objects, in the order
-        of ``goals``.
+    def apart(self, least: float) -> Bools:
+        """Return a mask (n, n) of the pairs of objects, in the order of ``goals``, whose goal points are at least
+        `least` metres apart, by the geodesic distances in both directions. No object is apart from itself.
 
-        Both directions are computed: Detour's path from a to b may be up to 2 m longer than its path from b to a on
-        real navmeshes. Gaps of `enough` metres or more count as `enough`. The diagonal is 0.
+        Both directions count: Detour's path from a to b may be up to 2 m longer than its path from b to a on real
+        navmeshes.
         """
-        key = (enough, self.points.tobytes(), self._owner.tobytes())
-        known = _GAPS.setdefault(self.pathfinder, {})
+        key = (least, self.points.tobytes(), self.first.tobytes())
+        known = _APART.setdefault(self.pathfinder, {})
         if key not in known:
-            known.clear()  # drawing and placing need the same gaps
-            known[key] = self._gaps(enough)
+            known.clear()  # drawing and placing ask the same
+            mesh, asked = self.pathfinder.query_mesh, many_points(self.points)
+            known[key] = apart_objects(mesh, asked, *project(mesh, asked, ANY_ISLAND), self.first, least)
         return known[key]
 
-    def _gaps(self, enough: float) -> F64:
-        n = len(self.goals)
-        # Farther points are skipped: a geodesic is no shorter than the straight line between the snapped points.
-        within = enough + 2 * SNAP_AT_MOST
-        near = cKDTree(self.points).query_pairs(within, output_type="ndarray") if n else np.empty((0, 2), dtype=np.intp)
-        near = near[self._owner[near[:, 0]] != self._owner[near[:, 1]]]
-        gaps = np.full((n, n), enough)
-        if len(near):
-            near = np.concatenate([near, near[:, ::-1]])
-            asked = self.pathfinder.geodesic_distances(self.points[near[:, 0]], self.points[near[:, 1]])
-            walk = np.where(np.isfinite(asked), asked, np.inf).astype(np.float64)
-            np.minimum.at(gaps, (self._owner[near[:, 0]], self._owner[near[:, 1]]), walk)
-        both: F64 = np.minimum(gaps, gaps.T)
-        np.fill_diagonal(both, 0.0)
-        return both
+    def gap(self, one: int, other: int) -> float:
+        """Return the least geodesic distance in metres between the goal points of two objects, in either direction."""
+        here, there = (self.points[self.first[k] : self.first[k + 1]] for k in (one, other))
+        ways = (self.pathfinder.distance_table(*ends) for ends in ((here, there), (there, here)))
+        return min(float(np.where(np.isnan(table), np.inf, table).min()) for table in ways)
 
 
 def clearance(path: F64, points: F64) -> float:

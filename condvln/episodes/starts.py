@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from condvln.compiled import register_warm_up
 from condvln.episodes.footprint import Footprints
+from condvln.episodes.kernels.distances import nearest_points
 from condvln.episodes.kernels.starts import (
     FITS,
     FULL,
@@ -24,7 +25,6 @@ from condvln.episodes.kernels.starts import (
 )
 from condvln.episodes.routes import GoalField, Route
 from condvln.navigation.kernels.projection import ANY_ISLAND, project
-from condvln.navigation.kernels.route import distance_table
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.points import many_points
 
@@ -48,19 +48,13 @@ class FoundStart:
 
 
 class Starts:
-    """The start positions of one scene, with their geodesic distances to its objects. Ways are found when they are
-    first needed, and kept.
+    """The start positions of one scene, with their geodesic distances to its objects. Distances and ways are found when
+    they are first needed, and kept.
 
     Parameters
     ----------
     positions : (s, 3) metres
     solid : footprints that no path may cross
-
-    Attributes
-    ----------
-    distances : (n, s) geodesic distances in metres from each start to the nearest goal point of each of the n objects;
-        infinite without a path
-    nearest : (n, s) the index of that point among the object's goal points
     """
 
     def __init__(self, pathfinder: Pathfinder, field: GoalField, positions: F64, solid: Footprints) -> None:
@@ -69,13 +63,10 @@ class Starts:
         asked = many_points(exact)
         polys, at = project(self._mesh, asked, ANY_ISLAND)
         count = len(positions)
-        table = distance_table(self._mesh, asked[:count], asked[count:]).astype(np.float64)
-        table[~np.isfinite(table)] = np.inf
-        spans = [slice(*span) for span in zip(field.first[:-1].tolist(), field.first[1:].tolist(), strict=True)]
-        best = np.array([table[:, span].argmin(axis=1) for span in spans], np.int64).reshape(len(spans), count)
-        nearest = np.ascontiguousarray((best + field.first[:-1, None]).T)
-        distance = np.take_along_axis(table, nearest, axis=1)
-        self.nearest, self.distances = best, np.ascontiguousarray(distance.T)
+        objects = len(field.first) - 1
+        self._is_measured = np.zeros(objects, bool)
+        self._distances = np.full((objects, count), np.nan)
+        distance, nearest = np.full((count, objects), np.nan), np.zeros((count, objects), np.int64)
         self._places = Places(asked, polys, at, exact, field.first, distance, nearest, *solid.boxes)
         self._known = KnownWays(
             np.full(4 * WAYS, -1, np.int64),
@@ -89,10 +80,29 @@ class Starts:
             np.zeros(2, np.int64),
         )
 
+    def distances(self, objects: Sequence[int]) -> F64:
+        """Return the geodesic distances (k, s) in metres from each start to the nearest goal point of each of k
+        objects; infinite without a path.
+        """
+        self._measure(objects)
+        return self._distances[list(objects)]
+
+    def _measure(self, objects: Sequence[int]) -> None:
+        """Find the nearest goal points of objects from all starts, unless they are known."""
+        new = np.array(sorted({k for k in objects if not self._is_measured[k]}), np.int64)
+        if len(new):
+            places = self._places
+            nearest_points(
+                self._mesh, places.asked, places.polys, places.at, places.first, new, places.distance, places.nearest
+            )
+            self._distances[new] = places.distance[:, new].T
+            self._is_measured[new] = True
+
     def route_lengths(self, starts: I64, moves: Sequence[int]) -> F64:
         """Return the lengths (k,) in metres of the routes from k of the starts through the objects of `moves`, each
         time to the nearest goal point of the next object; infinite without a path.
         """
+        self._measure(moves)
         lengths, through = np.empty(len(starts)), np.array(moves, np.int64)
         while not route_lengths(self._mesh, self._places, self._known, through, starts, lengths):
             self._make_room()
@@ -115,6 +125,7 @@ class Starts:
         refused : (4,) to which the number of starts refused for each reason of ``REFUSALS`` is added
         """
         moves = np.array([move for leaf in leaves for move in leaf], np.int64)
+        self._measure(moves.tolist())
         first_move = np.cumsum([0, *map(len, leaves)], dtype=np.int64)
         tried = 0
         while True:
@@ -146,7 +157,8 @@ class Starts:
         agree at the start. A route through stops may end at another goal point.
         """
         points = self._field.points[self._field.first[goal] : self._field.first[goal + 1]]
-        nearest = int(self.nearest[goal, start])
+        self._measure([goal])
+        nearest = int(self._places.nearest[start, goal] - self._field.first[goal])
         return np.concatenate([points[nearest : nearest + 1], points[:nearest], points[nearest + 1 :]])
 
     def _make_room(self) -> None:

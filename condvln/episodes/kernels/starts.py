@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.compiled import compiled
+from condvln.episodes.kernels.distances import distance_between, straight_distance
 from condvln.episodes.kernels.ways import comes_within, passes_through
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.kernels.route import route_between
 from condvln.navigation.kernels.straight import MAX_POINTS
 from condvln.navigation.tile import Floats, Indices
 
@@ -56,7 +56,7 @@ class Places(NamedTuple):
     first: Indices
     """(n + 1,) first goal point of each object"""
     distance: Doubles
-    """(s, n) geodesic distance from each start to the nearest goal point of each object, metres"""
+    """(s, n) geodesic distance from each start to the nearest goal point of each object, metres; NaN if not known"""
     nearest: Indices
     """(s, n) that goal point"""
     center: Doubles
@@ -135,34 +135,16 @@ def _way(
         best = places.nearest[place, goal]
         length = places.distance[place, goal]
         if length < math.inf:
-            end = starts + best
-            _, count = route_between(
-                mesh,
-                search,
-                places.asked[place],
-                places.polys[place],
-                places.at[place],
-                places.asked[end],
-                places.polys[end],
-                places.at[end],
-                kept,
-            )
+            _, count = distance_between(mesh, search, places.asked, places.polys, places.at, place, starts + best, kept)
     else:
         for point in range(places.first[goal], places.first[goal + 1]):
-            end = starts + point
-            found, corners = route_between(
-                mesh,
-                search,
-                places.asked[place],
-                places.polys[place],
-                places.at[place],
-                places.asked[end],
-                places.polys[end],
-                places.at[end],
-                points,
+            if straight_distance(places.at, place, starts + point) > length:
+                continue
+            found, corners = distance_between(
+                mesh, search, places.asked, places.polys, places.at, place, starts + point, points
             )
             if found < length:
-                best, length, count = point, float(found), corners
+                best, length, count = point, found, corners
                 kept[:corners] = points[:corners]
     for i in range(count):
         for axis in range(3):

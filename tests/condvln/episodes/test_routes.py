@@ -48,7 +48,7 @@ def test_quaternion_turns_the_forward_axis_to_the_heading(yaw: float) -> None:
     assert x == z == 0.0
 
 
-def test_a_gap_is_the_least_way_in_either_direction() -> None:
+def test_objects_are_apart_by_the_least_way_in_either_direction() -> None:
     rng = np.random.default_rng(4)
     solid = rng.random((24, 24)) < 0.3
     floor = grid_floor(6, 6, lambda x, z: bool(solid[int(x / 0.25), int(z / 0.25)]))
@@ -58,8 +58,12 @@ def test_a_gap_is_the_least_way_in_either_direction() -> None:
     table[~np.isfinite(table)] = np.inf
     one_way = table.reshape(150, 2, 150, 2).min(axis=(1, 3))
     assert ((one_way >= 2.5) & (one_way.T < 2.49)).any(), "on this floor the direction decides"
-    expected = np.minimum(np.minimum(one_way, one_way.T), 2.5)
-    np.fill_diagonal(expected, 0.0)
-    np.testing.assert_array_equal(GoalField(floor, goals).gaps(2.5), expected)
-    backwards = GoalField(floor, dict(reversed(goals.items()))).gaps(2.5)
-    np.testing.assert_array_equal(backwards[::-1, ::-1], expected)
+    gaps = np.minimum(one_way, one_way.T)
+    np.fill_diagonal(gaps, 0.0)
+    field, backwards = GoalField(floor, goals), GoalField(floor, dict(reversed(goals.items())))
+    for least in (2.5, 0.4, 1.0, 4.0):
+        np.testing.assert_array_equal(field.apart(least), gaps >= least)
+        np.testing.assert_array_equal(backwards.apart(least)[::-1, ::-1], gaps >= least)
+    for one, other in rng.integers(150, size=(40, 2)).tolist():
+        if one != other:
+            assert field.gap(one, other) == gaps[one, other]

@@ -121,7 +121,7 @@ def test_distances_goals_and_lengths_are_those_of_single_queries(floor, field, p
     for goal, points in enumerate(field.goals.values()):
         for k, position in enumerate(positions):
             away = np.array([floor.geodesic_distance(position, point) for point in points])
-            assert starts.distances[goal, k] == away.min()
+            assert starts.distances([goal])[0, k] == away.min()
             ordered = starts.ordered_goals(k, goal)
             np.testing.assert_array_equal(ordered[0], points[away.argmin()])
             np.testing.assert_array_equal(ordered[1:], np.delete(points, away.argmin(), axis=0))

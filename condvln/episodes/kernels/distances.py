@@ -1,0 +1,178 @@
+"""Geodesic distances between the places of a scene, only as far as a decision needs them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.compiled import compiled
+from condvln.navigation.kernels.astar import Search, new_search
+from condvln.navigation.kernels.mesh import QueryMesh
+from condvln.navigation.kernels.projection import NO_POLYGON
+from condvln.navigation.kernels.route import route_between
+from condvln.navigation.kernels.straight import MAX_POINTS
+from condvln.navigation.tile import Floats, Indices
+from schemas.config.constants import SNAP_AT_MOST
+
+__all__ = ["apart_objects", "distance_between", "nearest_points", "straight_distance"]
+
+Doubles = npt.NDArray[np.float64]
+
+
+@compiled
+def straight_distance(at: Floats, one: int, other: int) -> float:
+    """Return the horizontal distance in metres between two projected places, minus what two projections of one point
+    may differ by: a lower bound of the length of a path.
+    """
+    dx = float(at[one, 0]) - float(at[other, 0])
+    dz = float(at[one, 2]) - float(at[other, 2])
+    return math.sqrt(dx * dx + dz * dz) - SNAP_AT_MOST
+
+
+@compiled
+def distance_between(
+    mesh: QueryMesh,
+    search: Search,
+    asked: Floats,
+    polys: Indices,
+    at: Floats,
+    one: int,
+    other: int,
+    points: Floats,
+) -> tuple[float, int]:
+    """Return the length in metres of the path from one place to another, infinite without a path, and its number of
+    corners, which are written to ``points``.
+
+    asked, polys, at : the places as requested, the polygons below them, and the places as projected
+    """
+    length, count = route_between(
+        mesh,
+        search,
+        asked[one],
+        polys[one],
+        at[one],
+        asked[other],
+        polys[other],
+        at[other],
+        points,
+    )
+    return (float(length) if math.isfinite(length) else math.inf), count
+
+
+@compiled
+def nearest_points(
+    mesh: QueryMesh,
+    asked: Floats,
+    polys: Indices,
+    at: Floats,
+    first: Indices,
+    objects: Indices,
+    distance: Doubles,
+    nearest: Indices,
+) -> None:
+    """Find the goal point of each of the ``objects`` that is geodesically nearest to each start; of points at the same
+    distance, the first one.
+
+    The point nearest by the straight line comes first; a point that is farther than the best path by the straight line
+    is left out.
+
+    Parameters
+    ----------
+    asked, polys, at : the s starts and then all p goal points, see `distance_between`
+    first : (n + 1,) first goal point of each object
+    distance, nearest : (s, n) columns of ``objects`` are set to the distance in metres, infinite without a path, and to
+        the point; without a path, to the object's first point
+    """
+    starts = distance.shape[0]
+    search = new_search(mesh.poly_size.shape[0])
+    points = np.empty((MAX_POINTS, 3), np.float32)
+    for k in objects:
+        begin, end = first[k], first[k + 1]
+        straight = np.empty(end - begin)
+        for start in range(starts):
+            best, chosen = math.inf, begin
+            if polys[start] != NO_POLYGON:
+                closest = 0
+                for i in range(end - begin):
+                    straight[i] = straight_distance(at, start, starts + begin + i)
+                    if straight[i] < straight[closest]:
+                        closest = i
+                for turn in range(-1, end - begin):
+                    i = closest if turn < 0 else turn
+                    if turn == closest or straight[i] > best:
+                        continue
+                    found, _ = distance_between(mesh, search, asked, polys, at, start, starts + begin + i, points)
+                    if found < best or (found == best and found < math.inf and begin + i < chosen):
+                        best, chosen = found, begin + i
+            distance[start, k], nearest[start, k] = best, chosen
+
+
+@compiled
+def apart_objects(
+    mesh: QueryMesh,
+    asked: Floats,
+    polys: Indices,
+    at: Floats,
+    first: Indices,
+    least: float,
+) -> npt.NDArray[np.bool_]:
+    """Return a mask (n, n) of the pairs of objects whose goal points are at least ``least`` metres apart, by the paths
+    in both directions.
+
+    Of two objects, the points nearest by the straight line come first: where they are too close, nothing else is asked.
+
+    Parameters
+    ----------
+    asked, polys, at : the p goal points, see `distance_between`
+    first : (n + 1,) first goal point of each object
+    """
+    n = first.shape[0] - 1
+    apart = np.ones((n, n), np.bool_)
+    search = new_search(mesh.poly_size.shape[0])
+    points = np.empty((MAX_POINTS, 3), np.float32)
+    for one in range(n):
+        apart[one, one] = False
+        for other in range(one + 1, n):
+            closest, at_one, at_other = math.inf, first[one], first[other]
+            for a in range(first[one], first[one + 1]):
+                for b in range(first[other], first[other + 1]):
+                    straight = straight_distance(at, a, b)
+                    if straight < closest:
+                        closest, at_one, at_other = straight, a, b
+            if closest >= least:
+                continue
+            near = _is_near(mesh, search, asked, polys, at, at_one, at_other, least, points)
+            for a in range(first[one], first[one + 1]):
+                if near:
+                    break
+                for b in range(first[other], first[other + 1]):
+                    if (a != at_one or b != at_other) and _is_near(mesh, search, asked, polys, at, a, b, least, points):
+                        near = True
+                        break
+            apart[one, other] = not near
+            apart[other, one] = not near
+    return apart
+
+
+@compiled
+def _is_near(
+    mesh: QueryMesh,
+    search: Search,
+    asked: Floats,
+    polys: Indices,
+    at: Floats,
+    one: int,
+    other: int,
+    least: float,
+    points: Floats,
+) -> bool:
+    """Return whether the path between two places is shorter than ``least`` metres in either direction."""
+    if straight_distance(at, one, other) >= least:
+        return False
+    there, _ = distance_between(mesh, search, asked, polys, at, one, other, points)
+    if there < least:
+        return True
+    back, _ = distance_between(mesh, search, asked, polys, at, other, one, points)
+    return back < least
