@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,30 @@ F64 = NDArray[np.float64]
 
 ROUNDING: Final = 1e-6
 """Largest deviation in metres of a sampled curve from the exact one."""
+
+
+CORNERS: Final = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+
+
+@lru_cache(maxsize=64)
+def _arcs(offset: float, spacing: float) -> tuple[tuple[F64, F64], ...]:
+    """Return, for each corner of a rectangle, points (n, 2) of the quarter circle with radius `offset` around the
+    origin, and its last point (2,). The points are at most `spacing` apart.
+    """
+    steps = max(1, int(np.ceil(offset * np.pi / 2 / spacing)))
+    found = []
+    for k in range(4):
+        start = k * np.pi / 2
+        angles = start + np.arange(steps) * (np.pi / 2 / steps)
+        normal = np.array([np.cos(start + np.pi / 2), np.sin(start + np.pi / 2)])
+        found.append((offset * np.column_stack([np.cos(angles), np.sin(angles)]), offset * normal))
+    return tuple(found)
+
+
+@lru_cache(maxsize=256)
+def _steps(count: int) -> F64:
+    """Return the fractions (n, 1) at which a side begins its n steps."""
+    return np.asarray(np.arange(count)[:, None] / count, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,7 +100,7 @@ class Footprint:
     @property
     def polygon(self) -> shapely.Polygon:
         """The footprint as a polygon in the (x, z) plane."""
-        return shapely.Polygon(self.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.half) @ self.axes)
+        return shapely.Polygon(self.center + (CORNERS * self.half) @ self.axes)
 
     def is_beside(self, low: F64, high: F64) -> bool:
         """Return whether the footprint is certainly outside the bounds from `low` (3,) to `high` (3,), in metres. The
@@ -106,19 +131,14 @@ class Footprint:
             around = np.concatenate([part.ring(offset, spacing) for part in self.parts])
             # Points closer than `offset` to another part lie inside the curve.
             return around[self.distance(np.insert(around, 1, 0.0, axis=1)) >= offset - ROUNDING]
-        corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.half
+        corners = CORNERS * self.half
         points = []
-        for k, corner in enumerate(corners):
+        for k, (arc, normal) in enumerate(_arcs(offset, spacing)):
             # A quarter arc around each corner, then the straight side to the next one.
-            start = k * np.pi / 2
-            steps = max(1, int(np.ceil(offset * np.pi / 2 / spacing)))
-            angles = start + np.arange(steps) * (np.pi / 2 / steps)
-            points.append(corner + offset * np.column_stack([np.cos(angles), np.sin(angles)]))
-            following = corners[(k + 1) % 4]
-            normal = np.array([np.cos(start + np.pi / 2), np.sin(start + np.pi / 2)])
-            count = max(1, int(np.ceil(np.linalg.norm(following - corner) / spacing)))
-            t = np.arange(count)[:, None] / count
-            points.append(corner + offset * normal + t * (following - corner))
+            points.append(corners[k] + arc)
+            side = corners[(k + 1) % 4] - corners[k]
+            count = max(1, math.ceil(max(map(abs, side.tolist())) / spacing))
+            points.append(corners[k] + normal + _steps(count) * side)
         return np.asarray(self.center + np.concatenate(points) @ self.axes, dtype=np.float64)
 
     def crossed_by(self, starts: F64, ends: F64) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,15 @@ from condvln.episodes.pool import EpisodePool, fill_pool
 from condvln.episodes.routes import GoalField
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import Visibility, scene_visibility
-from condvln.instructions import PriorBits, ProgramSampler, apart_by_centres, names_compass, render, with_preamble
+from condvln.instructions import (
+    PriorBits,
+    ProgramSampler,
+    Stops,
+    apart_by_centres,
+    names_compass,
+    render,
+    with_preamble,
+)
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.relations import TextFacts
@@ -56,7 +64,7 @@ class Walkable:
 class DrawnPrograms:
     """Candidate programs in the order in which placing tries them.
 
-    goals : goal points (k, 3) by object id; empty without a navmesh
+    goals : goal points (k, 3) by object id, of the objects that text can name; empty without a navmesh
     rejections : number of failed draws by cell and reason
     """
 
@@ -98,16 +106,20 @@ def draw_programs(
     facts : what text may state about pairs of objects, by room id
     graph : viewpoint graph of a scan without a navmesh
     """
-    goal_points: Mapping[str, NDArray[np.float64]] = {}
+    goal_points: dict[str, NDArray[np.float64]] = {}
     placer: GraphPlacer | None = None
     # Samplers by what defines the distance between objects; each fills the cells that the previous ones left short.
-    ways = [apart_by_centres(scene, places)]
+    ways: list[Stops | Callable[[frozenset[str]], Stops]] = [apart_by_centres(scene, places)]
     if walkable is not None:
-        pathfinder = walkable.pathfinder
-        obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
-        goal_points = scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view)
-        separation = places.leaf_separation(scene.single_room)
-        ways = [reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)]
+
+        def reachable(named: frozenset[str]) -> Stops:
+            pathfinder = walkable.pathfinder
+            obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
+            goal_points.update(scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view, named))
+            separation = places.leaf_separation(scene.single_room)
+            return reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)
+
+        ways = [reachable]
     elif graph is not None:
         # If too few objects have a viewpoint, some instructions are published without episodes.
         ways.insert(0, viewpoint_stops(scene, graph))

@@ -43,7 +43,8 @@ STOPS: Final = pa.schema(
         pa.field("points", pa.list_(VEC3), nullable=False),
     ]
 )
-"""Schema of the goal points of every reachable object, nearest first; stored in the unit, not published."""
+"""Schema of the goal points of every reachable object that text can name, nearest first; stored in the unit, not
+published."""
 
 
 def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.Table:

@@ -8,7 +8,7 @@ reveals its truth. Every draw is seeded by (dataset seed, family, scene, categor
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -27,7 +27,7 @@ from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, objec
 from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
 from condvln.instructions.stop_sampler import DrawnStops, StopSampler
-from condvln.instructions.stops import Stops, Target, targets
+from condvln.instructions.stops import Stops, Target, nameable, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
@@ -110,7 +110,8 @@ class ProgramSampler:
     ----------
     facts : facts that text may use, by room id
     bits : the priors' bits that this scene reads (``LabelPriors.bits``)
-    stops : reachable objects and their distances; ``apart_by_centres`` without a navmesh
+    stops : reachable objects and their distances, or a function that returns those among the objects that text can
+        name, by their ids; ``apart_by_centres`` without a navmesh
     sightings : which objects are invisible; by default only those in shut containers
     preamble : whether texts that use compass words begin with the start heading; matters for cells with bounds on the
         number of words
@@ -131,7 +132,7 @@ class ProgramSampler:
         sampling: SamplingConfig,
         seed: int,
         *,
-        stops: Stops,
+        stops: Stops | Callable[[frozenset[str]], Stops],
         preamble: bool,
         placed: bool = True,
         words: Vocabulary = vocabulary,
@@ -161,6 +162,8 @@ class ProgramSampler:
         self._names = room_refs(list(self.referents.values()), words)
         pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
         self.condition_sampler = ConditionSampler(pools, sampling, words, single_room=scene.single_room)
+        if not isinstance(stops, Stops):
+            stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))
         self.stop_sampler = StopSampler(
             targets(self.referents, self._names, stops, sampling, words),
             {room_id: self.referents[room_id].room.label for room_id in sorted(self._names)},

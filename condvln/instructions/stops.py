@@ -14,7 +14,7 @@ from condvln.labels import Vocabulary
 from condvln.scene import Scene
 from schemas.config import PlacesConfig, SamplingConfig
 
-__all__ = ["Stops", "Target", "Targets", "apart_by_centres", "targets"]
+__all__ = ["Stops", "Target", "Targets", "apart_by_centres", "nameable", "targets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,18 @@ def apart_by_centres(scene: Scene, places: PlacesConfig) -> Stops:
     return Stops(tuple(o.object_id for o in ordered), np.asarray(distance >= least))
 
 
+def nameable(referents: Mapping[str, Referents], rooms: Iterable[str]) -> list[tuple[str, int, str]]:
+    """Return the objects of the given `rooms` that text can name, in order of room: the room, the object's index there,
+    and its id.
+    """
+    alone = len(referents) == 1
+    return [
+        (room_id, i, referents[room_id].arrays.object_ids[i])
+        for room_id in sorted(rooms)
+        for i in np.flatnonzero(referents[room_id].usable if alone else referents[room_id].usable_anywhere).tolist()
+    ]
+
+
 def targets(
     referents: Mapping[str, Referents],
     rooms: Iterable[str],
@@ -80,14 +92,8 @@ def targets(
     words: Vocabulary,
 ) -> Targets:
     """Return the objects of the given `rooms` that text can name and that can be reached."""
-    alone = len(referents) == 1
     row_of = {name: k for k, name in enumerate(stops.object_ids)}
-    chosen = [
-        (room_id, int(i), row_of[referents[room_id].arrays.object_ids[i]])
-        for room_id in sorted(rooms)
-        for i in np.flatnonzero(referents[room_id].usable if alone else referents[room_id].usable_anywhere)
-        if referents[room_id].arrays.object_ids[i] in row_of
-    ]
+    chosen = [(room_id, i, row_of[name]) for room_id, i, name in nameable(referents, rooms) if name in row_of]
     rows = [row for _, _, row in chosen]
     alike = _alike([(room_id, referents[room_id].arrays.labels[i]) for room_id, i, _ in chosen], words)
     apart = stops.apart[np.ix_(rows, rows)] & ~alike

@@ -22,7 +22,7 @@ from condvln.navigation.points import many_points, one_point, paired_points
 from condvln.navigation.protocol import ShortestPath
 from condvln.navigation.sampling import RandomSource, Sampler
 from condvln.navigation.settings import NavMeshSettings
-from condvln.navigation.tile import WALKABLE, Floats, Ints, NavMeshTile
+from condvln.navigation.tile import WALKABLE, Floats, Indices, Ints, NavMeshTile
 from schemas.errors import UsageError
 
 __all__ = ["HitRecord", "Pathfinder"]
@@ -161,6 +161,13 @@ class Pathfinder:
         chosen = ANY_ISLAND if island is None else self._island_index(island)
         return project(self.query_mesh, many_points(points), chosen)[1]
 
+    def snap_to_islands(self, points: npt.ArrayLike) -> tuple[Floats, Ints]:
+        """Return the positions (n, 3) to which n points snap and the islands (n,) of these; see :meth:`snap_point` and
+        :meth:`get_island`.
+        """
+        polys, snapped = project(self.query_mesh, many_points(points), ANY_ISLAND)
+        return snapped, self._islands_of(polys)
+
     def is_navigable(self, point: npt.ArrayLike, max_y_delta: float = MAX_Y_DELTA) -> bool:
         """Return whether the point is on the navmesh, within 1 cm horizontally and ``max_y_delta`` metres in height."""
         return bool(self.are_navigable(one_point(point), max_y_delta)[0])
@@ -175,7 +182,9 @@ class Pathfinder:
 
     def get_islands(self, points: npt.ArrayLike) -> Ints:
         """Return the island indices (n,) of n points; see :meth:`get_island`."""
-        polys, _ = project(self.query_mesh, many_points(points), ANY_ISLAND)
+        return self.snap_to_islands(points)[1]
+
+    def _islands_of(self, polys: Indices) -> Ints:
         return np.where(polys == NO_POLYGON, -1, self._island_of_poly[polys]).astype(np.int32)
 
     def island_radius(self, point_or_index: npt.ArrayLike) -> float:

@@ -12,6 +12,7 @@ import pyarrow as pa
 from condvln.episodes.candidates import Candidate, candidates_from_table
 from condvln.episodes.steps import Walkable
 from condvln.episodes.view import SceneView
+from condvln.instructions import LabelPriors, PriorBits
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -33,6 +34,7 @@ __all__ = [
     "NAVMESHES",
     "Tables",
     "asked_of",
+    "bits_of",
     "candidates_of",
     "dump",
     "keep_candidates",
@@ -128,6 +130,7 @@ def _same(one: object, other: object) -> bool:
 _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
 _candidates: Final[_Latest[list[Candidate]]] = _Latest()
+_bits: Final[_Latest[PriorBits]] = _Latest()
 
 
 def scene_of(unit: Unit, tables: Tables) -> Scene:
@@ -157,6 +160,13 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
         return Walkable(pathfinder_of(scene, tables), view, max_climb)
 
     return _walkables.get((scene, unit, tables["navmeshes"], max_climb), make)
+
+
+def bits_of(scene: Scene, priors: pa.Table, plausible_share: float) -> PriorBits:
+    """Return the bits of the priors that a scene reads: the stage's key needs them, and then the stage itself."""
+    return _bits.get(
+        (scene, priors, plausible_share), lambda: LabelPriors.from_table(priors).bits(scene, plausible_share)
+    )
 
 
 def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:

@@ -24,7 +24,7 @@ from condvln.relations import RoomRelations, TextFacts, text_facts
 from condvln.scene import Scene
 from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, asked_of, dump, keep_candidates, scene_of, source_of, walkable_of
+from jobs.stages.inputs import Tables, asked_of, bits_of, dump, keep_candidates, scene_of, source_of, walkable_of
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
@@ -74,7 +74,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 35
+    version: int = 36
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
@@ -101,7 +101,7 @@ class ProgramStage(Stage):
         return dict(self._bits(scene_of(unit, upstream), shared).document())
 
     def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
-        return LabelPriors.from_table(shared["priors"]).bits(scene, self.sampling.plausible_share)
+        return bits_of(scene, shared["priors"], self.sampling.plausible_share)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)

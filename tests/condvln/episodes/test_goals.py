@@ -9,8 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.goals import _farthest, _spread
-from condvln.navigation.protocol import PathfinderProtocol
+from condvln.episodes.goals import _distinct, _spread, scene_goals
+from condvln.episodes.kernels.spread import farthest_points
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene import round_mm
+from schemas.config import GoalsConfig, PlacesConfig
+from schemas.config.constants import RING_SPACING
+from tests.condvln.episodes.floors import apartment, box, grid_floor
 
 
 class Ways:
@@ -30,10 +35,45 @@ def test_few_geodesics_decide_as_all_of_them(n: int, count: int, share: float, s
     points = rng.random((n, 3)) * [3.0, 1e-3, 3.0]
     points[0, 1] = 0.0
     limit = 1e3 * float(np.quantile(points[:, 1], share))
-    box = Footprint(np.array([1.5, 1.5]), np.array([0.2, 0.4]), np.eye(2))
+    footprint = Footprint(np.array([1.5, 1.5]), np.array([0.2, 0.4]), np.eye(2))
     pathfinder = Ways()
-    found = _spread(points, box, count, cast("PathfinderProtocol", pathfinder), limit)
+    found = _spread(points, footprint, count, cast("Pathfinder", pathfinder), limit)
     reached = points[1e3 * points[:, 1] <= limit]
-    chosen = reached[_farthest(reached, count, np.zeros(len(reached), bool))]
-    assert np.array_equal(found, chosen[np.argsort(box.distance(chosen), kind="stable")])
+    chosen = reached[farthest_points(reached, count, np.zeros(len(reached), bool), RING_SPACING)]
+    assert np.array_equal(found, chosen[np.argsort(footprint.distance(chosen), kind="stable")])
     assert len(found) <= pathfinder.asked <= n
+
+
+def test_points_far_from_one_another_are_chosen_one_by_one() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        points = rng.integers(0, 6, (int(rng.integers(1, 12)), 3)).astype(np.float64)  # many distances are equal
+        excluded = rng.random(len(points)) < 0.3
+        excluded[0] = False
+        expected = [0]
+        while len(expected) < 4:
+            gaps = [
+                -1.0 if out else min(float(np.linalg.norm(point - points[k])) for k in expected)
+                for point, out in zip(points, excluded, strict=True)
+            ]
+            if max(gaps) < 1.5:
+                break
+            expected.append(gaps.index(max(gaps)))
+        assert farthest_points(points, 4, excluded, 1.5).tolist() == expected[: max(1, len(points))]
+
+
+def test_distinct_points_are_those_of_numpy() -> None:
+    points = round_mm(np.random.default_rng(8).integers(0, 3, (200, 3)) / 1000)
+    np.testing.assert_array_equal(_distinct(points), np.unique(points, axis=0))
+    assert _distinct(points[:0]).shape == (0, 3)
+
+
+def test_only_named_objects_get_goal_points() -> None:
+    floor = grid_floor(6, 6, lambda x, z: False)
+    scene = apartment(box("a", 1, 1), box("b", 3, 3), box("c", 5, 2))
+    whole = scene_goals(scene, floor, PlacesConfig(), GoalsConfig())
+    some = scene_goals(scene, floor, PlacesConfig(), GoalsConfig(), named=frozenset({"c", "a", "elsewhere"}))
+    assert list(whole) == ["a", "b", "c"]
+    assert list(some) == ["a", "c"]
+    for name, points in some.items():
+        np.testing.assert_array_equal(points, whole[name])
