@@ -203,20 +203,21 @@ class Placer:
         return Starts(self.pathfinder, self.field, self.starts, self._solid)
 
     @cached_property
-    def _apart(self) -> NDArray[np.bool_]:
-        return self.field.apart(self.leaf_separation)
+    def _apart(self) -> list[list[bool]]:
+        """Whether two objects are at least the leaf separation apart; lists, since single pairs are asked about."""
+        apart: list[list[bool]] = self.field.apart(self.leaf_separation).tolist()
+        return apart
 
     @property
     def leaf_separation(self) -> float:
         """Minimum geodesic distance in metres that the goals of two leaves must have in this scene."""
         return self.places.leaf_separation(self.scene.single_room)
 
-    def _is_near(self, one: str, other: str, least: float) -> bool:
+    def _is_near(self, one: int, other: int, least: float) -> bool:
         """Return whether the geodesic distance between two objects is less than `least`, which is at most the leaf
         separation.
         """
-        here, there = self._order[one], self._order[other]
-        return not self._apart[here, there] and (here == there or self.field.gap(here, there) < least)
+        return not self._apart[one][other] and (one == other or self.field.gap(one, other) < least)
 
     @cached_property
     def _order(self) -> dict[str, int]:
@@ -229,9 +230,10 @@ class Placer:
         ------
         Rejected : a rule does not hold
         """
-        stops = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
-        if any(name not in self.field for moves in stops for name in moves):
+        names = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
+        if not all(name in self._order for moves in names for name in moves):
             raise Rejected("object_without_goal_point")
+        stops = [[self._order[name] for name in moves] for moves in names]
         for k, one in enumerate(stops):
             for other in stops[k + 1 :]:
                 if self._is_near(one[-1], other[-1], self.leaf_separation):

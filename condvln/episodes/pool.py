@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Final
 
 from condvln.episodes.candidates import Candidate
@@ -122,13 +121,35 @@ def fill_pool(
         wanted += round(groups * sum(leaves) / len(members))
     labels = {leaf.goal.label for candidate in queue for leaf in candidate.program.leaves}
     most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
-    numbers: dict[Program, int] = {}
+    number = _Numbers().of_program
     together = [*members.values(), *([c] for c in queue if c.cell is not None)]
-    tries = [_Try(group, {numbers.setdefault(c.program, len(numbers)) for c in group}) for group in together]
+    tries = [_Try(group, {number(c.program) for c in group}) for group in together]
     filling = _Filling(placer, groups, names_compass, observer, cells, move_shares)
     filling.fill(tries, most_of_label)
     filling.trim(tries, label_cap)
     return filling.pool(tries)
+
+
+class _Numbers:
+    """Numbers of programs: equal programs have equal numbers. A part that several programs share is compared by value
+    once, since comparing is slow. The programs must be kept by the caller.
+    """
+
+    def __init__(self) -> None:
+        self._by_identity: dict[int, int] = {}
+        self._by_value: dict[Hashable, int] = {}
+
+    def of_program(self, program: Program) -> int:
+        """Return the number of a program."""
+        leaves = [tuple(self._of(move) for move in leaf.moves) for leaf in program.leaves]
+        parts = (program.category, self._of(program.branches), *map(self._of, program.conditions), *leaves)
+        return self._by_value.setdefault(parts, len(self._by_value))
+
+    def _of(self, part: Hashable) -> int:
+        found = self._by_identity.get(id(part))
+        if found is None:
+            found = self._by_identity[id(part)] = self._by_value.setdefault(part, len(self._by_value))
+        return found
 
 
 class _Try:
@@ -172,6 +193,7 @@ class _Filling:
         self._golds: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._labels: Counter[str] = Counter()
         self._seen: set[int] = set()
+        self._changes = 0
 
     def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
         """Place candidates, in the order of `_in_turn`."""
@@ -253,24 +275,35 @@ class _Filling:
             cells.setdefault(one.cell, {}).setdefault(moves, deque()).append(one)
         for cell, alike in cells.items():
             while alike:
-                nearest = next(iter(alike))
+                nearest, changes = next(iter(alike)), self._changes
                 if cell is not None and len(alike) > 1:
-                    nearest = min(alike, key=partial(self._distance, cell))
-                yield alike[nearest].popleft()
-                if not alike[nearest]:
-                    del alike[nearest]
+                    nearest = min(alike, key=self._distances(cell))
+                while changes == self._changes and nearest in alike:  # until the caller places one
+                    yield alike[nearest].popleft()
+                    if not alike[nearest]:
+                        del alike[nearest]
 
-    def _distance(self, cell: InstructionCell, moves: Iterable[tuple[int, int]]) -> float:
-        """Return how far the leaves of a cell are from the wanted shares, after leaves with `moves` are added: the sum,
-        over the numbers of moves, of squared numbers of leaves. The cell makes up for its part of the leaves of the
-        category's counterfactual groups. `moves` are pairs of a number of moves and a number of leaves.
+    def _distances(self, cell: InstructionCell) -> Callable[[Iterable[tuple[int, int]]], float]:
+        """Return a function that says how far the leaves of a cell are from the wanted shares after leaves with given
+        moves are added: the sum, over the numbers of moves, of squared numbers of leaves. Moves are pairs of a number
+        of moves and a number of leaves.
+
+        The cell makes up for its part of the leaves of the category's counterfactual groups.
         """
         assert self._move_shares is not None
-        part, grouped = cell.count / self._free[cell.category], self._group_moves[cell.category]
-        shares, added = self._move_shares(cell.category), dict(moves)
-        held = [self._moves[cell][n] + part * grouped[n] + added.get(n, 0) for n in range(1, len(shares) + 1)]
-        leaves = sum(held)
-        return sum((count - share * leaves) ** 2 for count, share in zip(held, shares, strict=True))
+        part, grouped, own = cell.count / self._free[cell.category], self._group_moves[cell.category], self._moves[cell]
+        shares = self._move_shares(cell.category)
+        held = [own[n] + part * grouped[n] for n in range(1, len(shares) + 1)]
+
+        def distance(moves: Iterable[tuple[int, int]]) -> float:
+            counts = held.copy()
+            for n, added in moves:
+                if n <= len(counts):
+                    counts[n - 1] += added
+            leaves = sum(counts)
+            return sum([(count - share * leaves) ** 2 for count, share in zip(counts, shares, strict=True)])
+
+        return distance
 
     def _unplaceable(self, one: _Try) -> str | None:
         """Place all candidates in `one` from the same start, unless they are placed already. Return None, or the reason
@@ -297,6 +330,7 @@ class _Filling:
 
     def _count(self, one: _Try, by: int) -> None:
         """Count the candidates in `one` towards the quotas (`by` = 1), or no longer count them (`by` = −1)."""
+        self._changes += 1
         if one.cell is None:
             self._groups += by
             for n, count in one.moves.items():

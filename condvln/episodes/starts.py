@@ -64,7 +64,7 @@ class Starts:
         polys, at = project(self._mesh, asked, ANY_ISLAND)
         count = len(positions)
         objects = len(field.first) - 1
-        self._is_measured = np.zeros(objects, bool)
+        self._measured: set[int] = set()
         self._distances = np.full((objects, count), np.nan)
         distance, nearest = np.full((count, objects), np.nan), np.zeros((count, objects), np.int64)
         self._places = Places(asked, polys, at, exact, field.first, distance, nearest, *solid.boxes)
@@ -89,14 +89,13 @@ class Starts:
 
     def _measure(self, objects: Sequence[int]) -> None:
         """Find the nearest goal points of objects from all starts, unless they are known."""
-        new = np.array(sorted({k for k in objects if not self._is_measured[k]}), np.int64)
-        if len(new):
-            places = self._places
+        if not self._measured.issuperset(objects):
+            new, places = np.array(sorted({*objects} - self._measured), np.int64), self._places
             nearest_points(
                 self._mesh, places.asked, places.polys, places.at, places.first, new, places.distance, places.nearest
             )
             self._distances[new] = places.distance[:, new].T
-            self._is_measured[new] = True
+            self._measured.update(new.tolist())
 
     def route_lengths(self, starts: I64, moves: Sequence[int]) -> F64:
         """Return the lengths (k,) in metres of the routes from k of the starts through the objects of `moves`, each

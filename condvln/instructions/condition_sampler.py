@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.degeneracy import Claim
-from condvln.instructions.kernels.conditions import NOTHING, RULES, draw_conditions, rules_of_places
+from condvln.instructions.kernels.conditions import NOTHING, RULES, draw_conditions, leave_a_question, rules_of_places
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
 from condvln.instructions.rejection import GivenUp
@@ -28,6 +28,9 @@ from schemas.config.constants import PLAIN_ROOM_WEIGHT
 from schemas.program import Condition, ObjectRef, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 
 class ConditionSampler:
@@ -63,6 +66,7 @@ class ConditionSampler:
         self.rooms = tuple(self._rooms)
         self.clashes: Counter[str] = Counter()
         self._made: dict[tuple[str | None, int], Condition] = {}
+        self._known_rooms: dict[tuple[tuple[str, str | None], ...], tuple[list[str], I64, F64]] = {}
 
     @cached_property
     def _numbered(self) -> NumberedStatements:
@@ -100,15 +104,11 @@ class ConditionSampler:
         GivenUp
             For one condition no statement is left.
         """
-        rooms = [room for room in names if room in self._rooms]
-        # "If, in the bedroom that has the desk, the lamp …" is hard to follow: rooms with a plain name are preferred.
-        weights = [PLAIN_ROOM_WEIGHT if names[room].anchor_label is None else 1.0 for room in rooms]
+        rooms, asked_about, sums = self._asked_about(names)
         if truths and not rooms:
             raise GivenUp("no_condition")
         numbered = self._numbered
-        given = numbered.given(stops)
-        wanted, sums = np.array(truths, dtype=bool), np.array(tuple(accumulate(weights)), dtype=np.float64)
-        asked_about = numbered.rooms([names[room] for room in rooms])
+        given, wanted = numbered.given(stops), np.array(truths, dtype=bool)
         start = -1 if start_room is None else numbered.room(start_room)
 
         def draw(stream: NDArray[np.float64], left: NDArray[np.int64]) -> tuple[bool, list[list[int]], list[int]]:
@@ -130,7 +130,9 @@ class ConditionSampler:
             return found, drawn.tolist(), clashes.tolist()
 
         found, drawn, clashes = draws.compiled(draw)
-        self.clashes.update({rule: count for rule, count in zip(RULES, clashes, strict=True) if count})
+        for rule, count in zip(RULES, clashes, strict=True):
+            if count:
+                self.clashes[rule] += count
         if not found:
             raise GivenUp("no_condition")
         return tuple(
@@ -138,24 +140,29 @@ class ConditionSampler:
             for truth, (room, pool, place) in zip(truths, drawn, strict=True)
         )
 
+    def _asked_about(self, names: Mapping[str, RoomRef]) -> tuple[list[str], I64, F64]:
+        """Return the rooms of `names` that can be asked about, as `draw_conditions` takes them, and their running
+        weights.
+        """
+        key = tuple((name.room_id, name.anchor_id) for name in names.values())
+        if key not in self._known_rooms:
+            rooms = [room for room in names if room in self._rooms]
+            # "If, in the bedroom that has the desk, the lamp …" is hard to follow: plain names are preferred.
+            weights = [PLAIN_ROOM_WEIGHT if names[room].anchor_label is None else 1.0 for room in rooms]
+            sums = np.array(tuple(accumulate(weights)), dtype=np.float64)
+            self._known_rooms[key] = rooms, self._numbered.rooms([names[room] for room in rooms]), sums
+        return self._known_rooms[key]
+
     def is_left_by(self, room_id: str, stop: tuple[str, str]) -> bool:
         """Return whether any condition can be asked about a room in a text with a certain stop: the statements of some
         form or kind are not all about the stop.
 
         stop : (room id, label) of the stop
         """
-        numbered, pool = self._numbered, self._rooms[room_id].pool
-        given = numbered.given([ObjectRef(object_id="", label=stop[1], room=RoomRef(room_id=stop[0], label=""))])
+        numbered = self._numbered
+        given = numbered.presupposed([numbered.room(stop[0]), numbered.label(stop[1])], (), ())
         room, nothing_said = numbered.room(room_id), numbered.claims(())
-        own = [*pool.relations.values(), *([pool.presence] if pool.presence else [])]
-        return any(
-            all(
-                (rules_of_places(nothing_said, room, NOTHING, number, truth, given, numbered.tables) < 0).any()
-                for truth in (0, 1)
-            )
-            for number, statements in enumerate(numbered.pools)
-            if any(statements is one for one in own)
-        )
+        return leave_a_question(nothing_said, room, NOTHING, *numbered.pools_of(room), given, numbered.tables)
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
         """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import accumulate
@@ -67,17 +66,21 @@ class _Names:
     """The names of one object, and the weights with which they are drawn.
 
     words : for each name, the labels that a word for an anchor of its qualifier might mean
+    anchors : for each name, the labels of these anchors
+    bearings : for each name, whether it is egocentric
     """
 
     def __init__(self, refs: Sequence[ObjectRef], sampling: SamplingConfig, words: Vocabulary) -> None:
         self.refs, self._sampling = refs, sampling
-        anchors = [() if ref.qualifier is None else ref.qualifier.anchor_labels for ref in refs]
-        self.words = [frozenset[str]().union(*map(words.overlapping, labels)) for labels in anchors]
+        self.anchors = [() if ref.qualifier is None else ref.qualifier.anchor_labels for ref in refs]
+        self.bearings = [ref.is_bearing for ref in refs]
+        self.words = [frozenset[str]().union(*map(words.overlapping, labels)) for labels in self.anchors]
+        self._any_word = frozenset[str]().union(*self.words)
         self._sums = tuple(accumulate(preferences(refs, sampling)))
 
-    def draw(self, said: Collection[str], draws: Draws) -> ObjectRef:
-        """Return one of the names, by preference. No name relies on an object with a label that is `said` of another
-        room.
+    def draw(self, said: Collection[str], draws: Draws) -> int:
+        """Return the index of one of the names, by preference. No name relies on an object with a label that is `said`
+        of another room.
 
         Raises
         ------
@@ -86,12 +89,12 @@ class _Names:
         """
         if not self.refs:
             raise GivenUp("circular")
-        if all(words.isdisjoint(said) for words in self.words):
-            return self.refs[draws.cumulative(self._sums)]
-        refs = [ref for ref, words in zip(self.refs, self.words, strict=True) if words.isdisjoint(said)]
-        if not refs:
+        if self._any_word.isdisjoint(said):
+            return draws.cumulative(self._sums)
+        left = [k for k, words in enumerate(self.words) if words.isdisjoint(said)]
+        if not left:
             raise GivenUp("two_things")
-        return draws.weighted(refs, preferences(refs, self._sampling))
+        return draws.weighted(left, preferences([self.refs[k] for k in left], self._sampling))
 
 
 def preferences(refs: Sequence[ObjectRef], sampling: SamplingConfig) -> list[float]:
@@ -117,10 +120,6 @@ class ProgramSampler:
         number of words
     placed : programs are placed on a navmesh, so that a start can be chosen for egocentric statements
 
-    Attributes
-    ----------
-    rejections : by cell (None for counterfactual groups) and reason, the number of draws, or parts of draws, that were
-        rejected
     """
 
     def __init__(
@@ -142,7 +141,7 @@ class ProgramSampler:
         self.preamble = preamble
         self._sayable = sayable(wanted.directions, placed=placed)
         self.words = words
-        self.rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
+        self._reasons: dict[InstructionCell | None, Counter[str]] = {}
         astride = borders(scene)
         self.referents = {
             room.room_id: Referents.of(
@@ -171,6 +170,7 @@ class ProgramSampler:
             self.condition_sampler.rooms,
             self.condition_sampler.is_left_by,
         )
+        self._known_compositions: dict[Category, tuple[tuple[Composition, ...], tuple[float, ...]]] = {}
         self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
         self._known_names: dict[tuple[str, str | None, str, bool], _Names] = {}
 
@@ -181,6 +181,15 @@ class ProgramSampler:
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
         return ConditionPool.of(referents, bits, elsewhere, self.words, asked_in(self.scene.family) & self._sayable)
+
+    @property
+    def rejections(self) -> Counter[tuple[InstructionCell | None, str]]:
+        """Return, by cell (None for counterfactual groups) and reason, the number of draws, or parts of draws, that
+        were rejected.
+        """
+        return Counter(
+            {(cell, reason): count for cell, reasons in self._reasons.items() for reason, count in reasons.items()}
+        )
 
     @cached_property
     def label_cap(self) -> float:
@@ -210,14 +219,15 @@ class ProgramSampler:
 
     def _drawn(self, cell: InstructionCell, seen: set[tuple[object, ...]], used: Counter[str]) -> Iterator[Program]:
         category, wanted = cell.category, self.sampling.candidates(cell)
+        reasons = self._reasons.setdefault(cell, Counter())
         if wanted and not self.condition_sampler.rooms:
-            self.rejections[cell, "nothing_to_ask"] += 1
+            reasons["nothing_to_ask"] += 1
             return
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
         n_leaves, cap = SHAPES[category].leaves, self._most_goals(category)
         if wanted and not self.stop_sampler.fits(n_leaves):
-            self.rejections[cell, "no_targets"] += 1
+            reasons["no_targets"] += 1
             return
         golds: list[int] = []
         found = failed = 0
@@ -229,43 +239,46 @@ class ProgramSampler:
             golds = golds or draws.sample(range(n_leaves), n_leaves)
             # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
             shape = self._shape(cell, draws, golds.pop(), self.sampling.drawn_move_shares(category))
-            for stops in self._tries(cell, shape, used, cap, draws):
-                program = None
-                with self._counted(cell):
-                    program = self._worded(cell, _unseen(self._draw(category, shape, stops, draws), seen))
-                if program is None:
+            for stops in self._tries(reasons, shape, used, cap, draws):
+                try:
+                    program = self._draw(category, shape, stops, draws)
+                    key = _unseen(program, seen)
+                    self._worded(cell, program)
+                except GivenUp as given_up:
+                    reasons[given_up.reason] += 1
                     continue
-                seen.add(_key(program))
+                finally:
+                    self._count_clashes(reasons)
+                seen.add(key)
                 found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
                 yield program
                 break
 
     def _tries(
-        self, cell: InstructionCell | None, shape: _Shape, used: Counter[str], cap: float, draws: Draws
+        self, rejected: Counter[str], shape: _Shape, used: Counter[str], cap: float, draws: Draws
     ) -> Iterator[DrawnStops]:
         """Yield rooms and stops for a candidate, again and again until there were as many draws as a candidate may
-        take. Draws of stops that fail are added to the rejections of `cell`.
+        take. Draws of stops that fail are added to `rejected`.
         """
         left = self.sampling.draws_per_candidate
         while left > 0:
             reasons, stops = self.stop_sampler.draw(shape.composition, shape.moves, left, used, cap, draws)
             for reason, count in reasons.items():
-                self.rejections[cell, reason] += count
+                rejected[reason] += count
             if stops is None:
                 return
             left -= reasons.total() + 1
             yield stops
 
-    def _worded(self, cell: InstructionCell, program: Program) -> Program:
-        """Return `program` if its text has the number of words that the cell asks for; otherwise raise GivenUp."""
+    def _worded(self, cell: InstructionCell, program: Program) -> None:
+        """Raise GivenUp if the text of `program` has not the number of words that the cell asks for."""
         if cell.words is not None:
             name = instruction_id(self.scene.family, self.scene.scene_id, program)
             least, most = cell.words
             said = word_count(program, self.seed, name, self.wanted.wording, preamble=self.preamble)
             if not least <= said <= most:
                 raise GivenUp("words_missed")
-        return program
 
     def groups(self) -> Iterator[Group]:
         """Yield distinct counterfactual groups, cycling through categories; as many candidates are drawn for each
@@ -276,7 +289,7 @@ class ProgramSampler:
         if not wanted or not cells or not self.condition_sampler.rooms:
             return
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
-        order = draws.sample(cells, len(cells))
+        order, reasons = draws.sample(cells, len(cells)), self._reasons.setdefault(None, Counter())
         seen: set[tuple[object, ...]] = set()
         unused: Counter[str] = Counter()
         for k in range(wanted):
@@ -285,28 +298,28 @@ class ProgramSampler:
             # more of those with long routes. So the shares that are wanted are drawn.
             shares = self.sampling.move_shares(cell.category)
             shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves), shares)
-            for stops in self._tries(None, shape, unused, self._most_goals(cell.category), draws):
-                group = None
-                with self._counted(None):
-                    group = self._group(_unseen(self._draw(cell.category, shape, stops, draws), seen), draws)
-                keys = set(map(_key, group or ()))
-                if group is not None and not seen & keys:
+            for stops in self._tries(reasons, shape, unused, self._most_goals(cell.category), draws):
+                try:
+                    program = self._draw(cell.category, shape, stops, draws)
+                    _unseen(program, seen)
+                    group = self._group(program, draws)
+                except GivenUp as given_up:
+                    reasons[given_up.reason] += 1
+                    continue
+                finally:
+                    self._count_clashes(reasons)
+                keys = set(map(_key, group))
+                if not seen & keys:
                     seen.update(keys)
                     yield group
                     break
 
-    @contextmanager
-    def _counted(self, cell: InstructionCell | None) -> Iterator[None]:
-        """Return a context manager to put around one draw. It adds to the rejections of `cell`, by reason: the draw
-        itself if it fails, and in any case the conditions that clashed with others.
-        """
-        try:
-            yield
-        except GivenUp as given_up:
-            self.rejections[cell, given_up.reason] += 1
-        finally:
-            self.rejections.update({(cell, rule): n for rule, n in self.condition_sampler.clashes.items()})
-            self.condition_sampler.clashes.clear()
+    def _count_clashes(self, rejected: Counter[str]) -> None:
+        """Add the conditions of one draw that clashed with others to `rejected`."""
+        clashes = self.condition_sampler.clashes
+        if clashes:
+            rejected.update(clashes)
+            clashes.clear()
 
     def _group(self, program: Program, draws: Draws) -> Group:
         group = counterfactual_group(program, self.condition_sampler, draws, self.words)
@@ -320,6 +333,21 @@ class ProgramSampler:
         """
         category, wanted = cell.category, cell.composition
         if wanted is None:
+            names, sums = self._compositions(category)
+            wanted = names[draws.cumulative(sums)] if names else None
+        n_leaves = SHAPES[category].leaves
+        # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
+        bearings = cell.observability != "O0f"
+        if cell.moves is not None:
+            return _Shape(wanted, (cell.moves,) * n_leaves, bearings, gold)
+        shares = tuple(accumulate(moves))
+        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
+
+    def _compositions(self, category: Category) -> tuple[tuple[Composition, ...], tuple[float, ...]]:
+        """Return the compositions that the rooms allow for a category, and their running weights; none if all weights
+        are 0.
+        """
+        if category not in self._known_compositions:
             weights = self.sampling.compositions
             kinds, plain = self.stop_sampler.kinds, sum(map(self._is_plain, self._names))
             # Where too few rooms have a plain name, a text over many rooms is rare: it needs "the bedroom that has …".
@@ -330,15 +358,9 @@ class ProgramSampler:
                 "C2": (kinds > 2, weights.C2 * three),
             }
             options = {name: weight for name, (there_are_rooms, weight) in possible.items() if there_are_rooms}
-            if any(options.values()):
-                wanted = draws.weighted(tuple(options), tuple(options.values()))
-        n_leaves = SHAPES[category].leaves
-        # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
-        bearings = cell.observability != "O0f"
-        if cell.moves is not None:
-            return _Shape(wanted, (cell.moves,) * n_leaves, bearings, gold)
-        shares = tuple(accumulate(moves))
-        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
+            found = (tuple(options), tuple(accumulate(options.values()))) if any(options.values()) else ((), ())
+            self._known_compositions[category] = found
+        return self._known_compositions[category]
 
     def _draw(self, category: Category, shape: _Shape, found: DrawnStops, draws: Draws) -> Program:
         rooms, stops = found.rooms, found.leaves
@@ -373,19 +395,21 @@ class ProgramSampler:
         bearings = self.sampling.bearings
         said = {(target.room_id, target.label) for moves in stops for target in moves}
         said |= {(room_id, name.anchor_label) for room_id, name in names.items() if name.anchor_label is not None}
-        named: dict[str, ObjectRef] = {}
+        named: dict[str, tuple[ObjectRef, bool]] = {}
         leaves: list[list[ObjectRef]] = []
         for moves in stops:
             refs: list[ObjectRef] = []
             for target in moves:
-                ref = named.get(target.object_id)
-                if ref is None or (ref.is_bearing and bearings < 2):
+                ref, is_bearing = named.get(target.object_id, (None, False))
+                if ref is None or (is_bearing and bearings < 2):
                     here = target.room_id == start_room and bearings > 1
-                    ref = named[target.object_id] = self._named(target, names[target.room_id], draws, here, said)
-                    if ref.qualifier is not None:
-                        said.update((target.room_id, label) for label in ref.qualifier.anchor_labels)
+                    known = self._names_of(target, names[target.room_id], start=here)
+                    k = known.draw({label for room_id, label in said if room_id != target.room_id}, draws)
+                    ref, is_bearing = named[target.object_id] = known.refs[k], known.bearings[k]
+                    for label in known.anchors[k]:
+                        said.add((target.room_id, label))
                 refs.append(ref)
-                bearings -= ref.is_bearing
+                bearings -= is_bearing
             leaves.append(refs)
         return leaves, bearings
 
@@ -411,11 +435,9 @@ class ProgramSampler:
             said |= {name.anchor_label} if name.anchor_label is not None else set()
         return names
 
-    def _named(
-        self, target: Target, room: RoomRef, draws: Draws, start: bool, said: Collection[tuple[str, str]]
-    ) -> ObjectRef:
-        """Return one of the names of a target, drawn by preference. An egocentric name is possible only if `start` is
-        true: the start is in the target's room. `said` are the rooms and labels of what the text names already.
+    def _names_of(self, target: Target, room: RoomRef, *, start: bool) -> _Names:
+        """Return the names of a target. An egocentric name is possible only if `start` is true: the start is in the
+        target's room.
         """
         key = (room.room_id, room.anchor_id, target.object_id, start)
         names = self._known_names.get(key)
@@ -425,7 +447,7 @@ class ProgramSampler:
                 self._refs[key[:3]] = tuple(ref for ref in refs if not is_circular(ref, self.words))
             refs = tuple(ref for ref in self._refs[key[:3]] if start or not ref.is_bearing)
             names = self._known_names[key] = _Names(refs, self.sampling, self.words)
-        return names.draw({label for room_id, label in said if room_id != target.room_id}, draws)
+        return names
 
 
 @cache
@@ -442,7 +464,9 @@ def _key(program: Program) -> tuple[object, ...]:
     return (program.category, *map(id, program.conditions), *map(id, moves))
 
 
-def _unseen(program: Program, seen: set[tuple[object, ...]]) -> Program:
-    if _key(program) in seen:
+def _unseen(program: Program, seen: set[tuple[object, ...]]) -> tuple[object, ...]:
+    """Return the key of a program; raise GivenUp if it was `seen`."""
+    key = _key(program)
+    if key in seen:
         raise GivenUp("duplicate")
-    return program
+    return key

@@ -63,12 +63,15 @@ class NumberedStatements:
         self._rooms: dict[str, int] = {name: k for k, name in enumerate(rooms)}
         self._labels: dict[str, int] = {}
         self.pools: list[Statements] = []
+        self._pools_of: list[tuple[int, int]] = []
+        self._said: dict[int, tuple[ObjectRef, list[int], list[int], list[int]]] = {}
         self._spans: list[tuple[tuple[int, int], tuple[int, int]]] = []
         places: list[tuple[NDArray[np.float64], I64, I64]] = []
         count = 0
         numbers: dict[int, int] = {}
         for room in rooms.values():
             own = self._numbers(room.referents.arrays.labels)
+            begin = len(self.pools)
             own_pools: list[Statements] = [] if room.pool.presence is None else [room.pool.presence]
             for pool in (*own_pools, *room.pool.relations.values()):
                 numbers[id(pool)] = len(self.pools)
@@ -79,6 +82,7 @@ class NumberedStatements:
                     count += len(places[-1][0])
                     ends.append(count)
                 self._spans.append(((ends[0], ends[1]), (ends[1], ends[2])))
+            self._pools_of.append((begin, len(self.pools)))
         sums, labels, anchors = zip(*places, strict=True) if places else ((), (), ())
         self.tables = StatementTables(
             overlap=self._overlap(),
@@ -101,6 +105,10 @@ class NumberedStatements:
         """Return the number of a room; rooms without statements have numbers too."""
         return self._rooms.setdefault(room_id, len(self._rooms))
 
+    def pools_of(self, room: int) -> tuple[int, int]:
+        """Return the first pool of a room with statements, and the end of its pools."""
+        return self._pools_of[room]
+
     def label(self, label: str | None) -> int:
         """Return the number of a label; NOTHING for None."""
         if label is None:
@@ -117,30 +125,40 @@ class NumberedStatements:
 
     def given(self, stops: Iterable[ObjectRef]) -> Given:
         """Return what the phrases of all `stops` together presuppose (see ``degeneracy.Presupposed``)."""
-        named: list[tuple[int, int]] = []
-        besides: list[tuple[int, int]] = []
-        pairs: list[tuple[int, int, int]] = []
+        named: list[int] = []
+        besides: list[int] = []
+        pairs: list[int] = []
         for stop in stops:
-            room, label = self.room(stop.room.room_id), self.label(stop.label)
-            named.append((room, label))
-            if stop.room.anchor_label is not None:
-                besides.append((room, self.label(stop.room.anchor_label)))
-            if stop.qualifier is not None:
-                anchors = [self.label(anchor.label) for anchor in stop.qualifier.anchors]
-                besides += [(room, anchor) for anchor in anchors]
-                pairs += [(room, label, anchor) for anchor in anchors]
-        return self.presupposed(named, named + besides, pairs)
+            _, own, near, related = self._said.get(id(stop)) or self._phrase(stop)
+            named += own
+            besides += near
+            pairs += related
+        return self.presupposed(named, besides, pairs)
+
+    def _phrase(self, stop: ObjectRef) -> tuple[ObjectRef, list[int], list[int], list[int]]:
+        """Return the numbers of what the phrase of a stop presupposes: room and label of the stop; of other things;
+        room and both labels of each relation. The stop itself comes first, and is kept, so that no other stop gets its
+        identity.
+        """
+        room, label = self.room(stop.room.room_id), self.label(stop.label)
+        besides, pairs = [], []
+        if stop.room.anchor_label is not None:
+            besides += [room, self.label(stop.room.anchor_label)]
+        for anchor in () if stop.qualifier is None else stop.qualifier.anchors:
+            number = self.label(anchor.label)
+            besides += [room, number]
+            pairs += [room, label, number]
+        found = self._said[id(stop)] = (stop, [room, label], besides, pairs)
+        return found
 
     @staticmethod
-    def presupposed(
-        stops: Sequence[tuple[int, int]], things: Sequence[tuple[int, int]], pairs: Sequence[tuple[int, int, int]]
-    ) -> Given:
-        """Return what is presupposed, from numbers of rooms and labels."""
-        return Given(
-            np.array(stops, np.int64).reshape(-1, 2),
-            np.array(things, np.int64).reshape(-1, 2),
-            np.array(pairs, np.int64).reshape(-1, 3),
-        )
+    def presupposed(stops: Sequence[int], besides: Sequence[int], pairs: Sequence[int]) -> Given:
+        """Return what is presupposed, from numbers in one row: room and label of the stops, and of other things; room
+        and both labels of relations.
+        """
+        numbers = np.array([*stops, *besides, *pairs], np.int64)
+        one, other = len(stops), len(stops) + len(besides)
+        return Given(numbers[:one].reshape(-1, 2), numbers[:other].reshape(-1, 2), numbers[other:].reshape(-1, 3))
 
     def claims(self, claims: Sequence[Claim]) -> I64:
         """Return claims as the kernels take them, (n, 6)."""

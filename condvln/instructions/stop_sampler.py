@@ -149,7 +149,11 @@ class StopSampler:
         roomy, roomy_sums = self._roomy(n, waypoints)
         if composition == "C0" and not len(roomy):
             return Counter({"no_waypoint" if self.roomy(n) else "no_targets": tries}), None
-        counts, of_label = np.array(moves, np.int64), np.array([used[label] for label in self.labels], np.int64)
+        goals_with = used.get
+        counts, of_label = (
+            np.array(moves, np.int64),
+            np.array([goals_with(label, 0) for label in self.labels], np.int64),
+        )
 
         def draw(stream: NDArray[np.float64], left: I64) -> tuple[int, list[int], list[int], list[list[int]]]:
             failures, rooms = np.zeros(len(FAILURES), np.int64), np.zeros(1 + most, np.int64)

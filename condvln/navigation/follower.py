@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -198,10 +199,15 @@ class Follower:
     def _gait(self, heading: float) -> Gait:
         if not math.isfinite(heading):
             raise UsageError(f"the heading must be finite, got {heading}", remedy="Give radians")
-        turn = math.radians(self.space.turn)
-        facing = [heading + k * turn for k in range(self.space.headings)]
-        moves = [[-math.sin(angle) * self.space.forward, -math.cos(angle) * self.space.forward] for angle in facing]
-        return Gait(np.array(moves, np.float32), float(heading), turn, np.float32(self.space.forward), self.sliding)
+        return _gait(float(heading), self.space, self.sliding)
+
+
+@lru_cache(maxsize=64)
+def _gait(heading: float, space: ActionSpace, sliding: bool) -> Gait:
+    turn = math.radians(space.turn)
+    facing = [heading + k * turn for k in range(space.headings)]
+    moves = [[-math.sin(angle) * space.forward, -math.cos(angle) * space.forward] for angle in facing]
+    return Gait(np.array(moves, np.float32), heading, turn, np.float32(space.forward), sliding)
 
 
 class SteppedWalk:

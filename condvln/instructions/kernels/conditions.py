@@ -10,7 +10,7 @@ import numpy.typing as npt
 from condvln.compiled import compiled, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, uniform
 
-__all__ = ["NOTHING", "RULES", "Given", "StatementTables", "draw_conditions", "rules_of_places"]
+__all__ = ["NOTHING", "RULES", "Given", "StatementTables", "draw_conditions", "leave_a_question", "rules_of_places"]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
@@ -285,6 +285,28 @@ def rules_of_places(
     return rules
 
 
+@compiled
+def leave_a_question(
+    claims: Longs, room: int, room_anchor: int, first: int, end: int, given: Given, tables: StatementTables
+) -> bool:
+    """Return whether some pool from `first` to `end` - 1 has a statement of either truth that violates no rule together
+    with `claims` and the stops' phrases.
+    """
+    all_claims = np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
+    all_claims[: len(claims)] = claims
+    for pool in range(first, end):
+        sound = 0
+        for truth in range(2):
+            for place in range(tables.spans[pool, truth, 0], tables.spans[pool, truth, 1]):
+                _claim(all_claims, len(claims), room, room_anchor, pool, place, tables)
+                if clash(all_claims, len(claims), given, tables.overlap) < 0:
+                    sound += 1
+                    break
+        if sound == 2:
+            return True
+    return False
+
+
 def _warm_up() -> None:
     none, one, place = np.zeros((0, 2), np.int64), np.ones(1), np.zeros(1, np.int64)
     span = np.array([[[0, 1], [0, 1]]])
@@ -309,6 +331,7 @@ def _warm_up() -> None:
     drawn, clashes = np.zeros((1, 3), np.int64), np.zeros(len(RULES), np.int64)
     draw_conditions(np.ones(1, bool), rooms, one, 0, 0, 1, given, tables, np.zeros(8), left, clashes, drawn)
     rules_of_places(np.zeros((0, PRESENCE + 1), np.int64), 0, NOTHING, 0, 1, given, tables)
+    leave_a_question(np.zeros((0, PRESENCE + 1), np.int64), 0, NOTHING, 0, 1, given, tables)
 
 
 register_warm_up("conditions of programs", _warm_up)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from condvln.instructions.degeneracy import Claim, Presupposed
 from condvln.instructions.degeneracy import clash as clash_of_claims
-from condvln.instructions.kernels.conditions import RULES, clash
+from condvln.instructions.kernels.conditions import RULES, Given, clash
 from condvln.instructions.kernels.stops import fits
 from condvln.instructions.kernels.stream import cumulative, index, uniform
 from condvln.instructions.statement_tables import NumberedStatements
@@ -61,10 +61,10 @@ def test_rules_are_those_of_degeneracy(made: list[Claim], said: Presupposed, sha
     numbered = NumberedStatements({}, words)
     table = numbered.claims(made)
     room_of, label_of = numbered.room, numbered.label
-    stops = numbered.presupposed(
-        [(room_of(one), label_of(x)) for one, x in said.stops],
-        [(room_of(one), label_of(x)) for one, x in said.things],
-        [(room_of(one), label_of(x), label_of(y)) for one, x, y in said.pairs],
+    stops = Given(
+        np.array([(room_of(one), label_of(x)) for one, x in said.stops], np.int64).reshape(-1, 2),
+        np.array([(room_of(one), label_of(x)) for one, x in said.things], np.int64).reshape(-1, 2),
+        np.array([(room_of(one), label_of(x), label_of(y)) for one, x, y in said.pairs], np.int64).reshape(-1, 3),
     )
     rule = clash(table, len(made) - 1, stops, numbered.tables.overlap)
     assert (None if rule < 0 else RULES[rule]) == clash_of_claims(made[-1], made[:-1], said, words)
