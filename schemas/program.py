@@ -79,7 +79,7 @@ QUALIFIER_ONLY: Final = ("under", "closest to", *SUPERLATIVES)
 _SECTORS: Final = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 _ASKED_EVERYWHERE: Final = frozenset(("near", "far from", *BEARINGS, *(f"{sector} of" for sector in _SECTORS)))
 _ASKED_BESIDES: Final = {
-    "ithor": frozenset(("on", "lower than")),
+    "ithor": frozenset(("on",)),
     "procthor": frozenset(("on", "between", "higher than", "lower than")),
 }
 

@@ -131,7 +131,7 @@ def rule_of(qualifier: Qualifier | None, thresholds: Thresholds) -> str:
     for way, word in (("higher", "over"), ("lower", "below")):
         rules[f"{way} than"] = (
             f"its centre is at least {t.height_true:g} m {word} the anchor's and its top {t.top_true:g} m; "
-            f"false up to {t.height_false:g} m and {t.top_false:g} m"
+            f"false if the anchor's are {t.other_way:g} m {word} it"
         )
     for name in ("above", "below"):
         rules[name] = (
@@ -145,7 +145,8 @@ def rule_of(qualifier: Qualifier | None, thresholds: Thresholds) -> str:
         )
     direction = predicate.removesuffix(" of")
     compass = (
-        f"its centre is within {t.sector_true:g}° of {direction} of the anchor's; false beyond {t.sector_denied:g}°"
+        f"its centre is within {t.sector_true:g}° of {direction} of the anchor's, and within {t.sector_edge:g}° from "
+        f"the anchor's nearest point and with its own; false if all three are beyond {t.sector_denied:g}°"
     )
     return rules.get(predicate, compass)
 

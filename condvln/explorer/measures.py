@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.relations.bearing import BEARING_DEGREES, sighted
-from condvln.relations.compass import COMPASS, sector_deviation
+from condvln.relations.compass import COMPASS, edge_azimuths, sector_deviation
 from condvln.relations.holding import holding_of
-from condvln.relations.metrics import AABB, SPHERE, pair_metrics
+from condvln.relations.metrics import AABB, SPHERE, millimetres, pair_metrics
 from condvln.relations.pieces import Pieces
 from condvln.relations.stacking import stacking_of
 from condvln.scene import RoomArrays
@@ -32,7 +32,7 @@ _OF_ONE_PIECE: Final = frozenset(("on", "in", "near", "above", "below"))
 """Predicates that are true of an object of several pieces if they are true of one pair of pieces."""
 _BY_SOURCE: Final = frozenset(("on", "in"))
 """Predicates that the source may affirm or deny where boxes do not decide."""
-_ON_ALL: Final = frozenset(("higher than", "lower than"))
+_ON_ALL: Final = frozenset(("higher than", "lower than", *COMPASS))
 """Predicates that are false only if every criterion says so; for the others, one criterion is enough."""
 
 
@@ -128,6 +128,7 @@ class RoomMeasures:
         self._stacking = stacking_of(self._pieces, holding_of(arrays), thresholds)
         parts = self._pieces.arrays
         self._metrics = pair_metrics(parts.centers, parts.aabb_min, parts.aabb_max, parts.radius)
+        self._edges = edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max)))
         self._radius, self._centers = parts.radius, parts.centers
         self._of = {name: np.flatnonzero(self._pieces.owner == k).tolist() for k, name in enumerate(arrays.object_ids)}
 
@@ -175,13 +176,12 @@ class RoomMeasures:
             side = "over" if way == "height" else "below"
             over, under = (i, j) if way == "height" else (j, i)
             rise = float(s.rise[over, under]) / 1000.0
-            centre = Criterion(
-                f"{way} of its centre {side} the anchor's", rise, "m", ("≥", t.height_true), ("≤", t.height_false)
-            )
+            low = -t.other_way if predicate in _ON_ALL else t.height_false
+            centre = Criterion(f"{way} of its centre {side} the anchor's", rise, "m", ("≥", t.height_true), ("≤", low))
             if predicate in _ON_ALL:
                 tops = float(s.top_rise[over, under]) / 1000.0
                 name = f"{way} of its top {side} the anchor's"
-                return [centre, Criterion(name, tops, "m", ("≥", t.top_true), ("≤", t.top_false))]
+                return [centre, Criterion(name, tops, "m", ("≥", t.top_true), ("≤", low))]
             share = 100.0 * float(metrics.footprint_overlap[i, j])
             gap = float(s.gap[over, under]) / 1000.0
             return [
@@ -192,11 +192,18 @@ class RoomMeasures:
                 Criterion("distance between the footprints", apart, "m", None, ("≥", t.over_apart_false)),
             ]
         if predicate in COMPASS:
-            off = float(sector_deviation(metrics.azimuth[i : i + 1, j : j + 1], COMPASS.index(predicate))[0, 0])
+            seen = np.array([azimuth[i, j] for azimuth in (metrics.azimuth, *self._edges)])
+            off, *edges = sector_deviation(seen, COMPASS.index(predicate)).tolist()
             level = abs(float(metrics.elevation[i, j]))
             name = f"angle away from {predicate.removesuffix(' of')}"
             return [
                 Criterion(name, off, "°", ("≤", t.sector_true), (">", t.sector_denied)),
+                *(
+                    Criterion(f"{name}, {which}", edge, "°", ("≤", t.sector_edge), (">", t.sector_denied))
+                    for which, edge in zip(
+                        ("from the anchor's nearest point", "of its nearest point"), edges, strict=True
+                    )
+                ),
                 Criterion("angle above or below level", level, "°", ("<", t.level)),
                 Criterion("distance of the centres on the ground", horizontal, "m", ("≥", t.sector_horizontal_true)),
             ]

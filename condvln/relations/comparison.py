@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,37 +52,54 @@ def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Stat
     one label, so the status is 0 if the room has a third object that the label might mean.
 
     The volumes of their boxes decide; an object of several boxes is not compared. The status is 0 if the areas of their
-    largest sides give the opposite order, as for pictures of different depth.
+    largest sides give the opposite order, as for pictures of different depth, or if the object of smaller volume is
+    clearly the taller, the longer or the wider of the two.
     """
     labels = np.array(arrays.labels, dtype=object)
-    measured = [_sizes(item) for item in arrays.objects]
+    measured = [_size(item) for item in arrays.objects]
     bigger = np.zeros(len(arrays), dtype=np.int8)
     for i in np.flatnonzero(rival.sum(axis=1) == 1):
         j = int(np.flatnonzero(rival[i])[0])
         one, other = measured[i], measured[j]
-        if rival[j].sum() != 1 or labels[i] != labels[j] or one is None or other is None or one[0] != other[0]:
+        if rival[j].sum() != 1 or labels[i] != labels[j] or one is None or other is None or one.kind != other.kind:
             continue
-        _, volume, side = one
-        _, other_volume, other_side = other
-        if min(volume, other_volume) > 0.0:
-            true = volume >= t.size_ratio * other_volume and side > other_side
-            false = other_volume >= t.size_ratio * volume and other_side > side
-            bigger[i] = int(true) - int(false)
+        if min(one.volume, other.volume) > 0.0:
+            bigger[i] = int(_exceeds(one, other, t)) - int(_exceeds(other, one, t))
     return {"bigger": bigger, "smaller": -bigger}
 
 
-def _sizes(item: SceneObject) -> tuple[str, float, float] | None:
-    """Return the kind of box, its volume in mm³ and the area of its largest side in mm²; None without a box."""
+class _Size(NamedTuple):
+    """The kind of an object's box, its volume in mm³, the area of its largest side in mm², and its height and its
+    shorter and longer horizontal side in mm.
+    """
+
+    kind: str
+    volume: float
+    face: float
+    sides: tuple[float, float, float]
+
+
+def _exceeds(one: _Size, other: _Size, t: Thresholds) -> bool:
+    """Return whether people call the object of size `one` the bigger."""
+    whole = one.volume >= t.size_ratio * other.volume and one.face > other.face
+    return whole and all(b <= t.size_side * a for a, b in zip(one.sides, other.sides, strict=True))
+
+
+def _size(item: SceneObject) -> _Size | None:
+    """Return the size of an object; None if it has no box, or several."""
     if item.parts:
         return None
+    upright = 1
     if item.obb is not None:
-        kind, extents = "oriented", millimetres(2.0 * item.obb.half_extents)
+        kind, extents = "oriented", millimetres(2.0 * item.obb.half_extents).tolist()
+        upright = int(np.argmax(np.abs(item.obb.rotation[1])))
     elif item.box is not None:
-        kind, extents = "aligned", millimetres(item.box[1]) - millimetres(item.box[0])
+        kind, extents = "aligned", (millimetres(item.box[1]) - millimetres(item.box[0])).tolist()
     else:
         return None
-    small, middle, large = sorted(extents.tolist())
-    return kind, small * middle * large, middle * large
+    small, middle, large = sorted(extents)
+    short, long = sorted(extents[:upright] + extents[upright + 1 :])
+    return _Size(kind, small * middle * large, middle * large, (extents[upright], short, long))
 
 
 def between_facts(

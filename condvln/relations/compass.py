@@ -18,6 +18,7 @@ __all__ = [
     "SECTORS",
     "SECTOR_DEGREES",
     "canonical_codes",
+    "edge_azimuths",
     "sector_deviation",
     "sectors",
 ]
@@ -65,6 +66,25 @@ def sector_deviation(azimuth: F64, sector: int) -> F64:
     turn = np.abs(azimuth - SECTOR_DEGREES * sector)
     deviation: F64 = np.minimum(turn, np.abs(360.0 - turn))
     return deviation
+
+
+def edge_azimuths(centers: F64, low: F64, high: F64) -> tuple[F64, F64]:
+    """Return two azimuths (n, n) in [−180, 180] degrees for each pair of n objects: of the subject's centre from the
+    nearest point of the target's footprint, and of the nearest point of the subject's footprint from the target's
+    centre. An object without a box counts as its centre. NaN where a centre is over the other's footprint.
+
+    A chair in front of one end of a long counter is north-east of the counter's centre, but north of its nearest point.
+
+    centers, low, high (n, 3) : whole millimetres, the corners NaN where unknown
+    """
+    low, high = (np.where(np.isnan(corner), centers, corner) for corner in (low, high))
+    east, south = (
+        centers[:, None, k] - np.clip(centers[:, None, k], low[None, :, k], high[None, :, k]) for k in (0, 2)
+    )
+    north = 0.0 - south
+    azimuth = np.where((east != 0.0) | (north != 0.0), np.degrees(np.arctan2(north, east)), np.nan)
+    back: F64 = np.where(azimuth > 0.0, azimuth - 180.0, azimuth + 180.0).T
+    return azimuth, back
 
 
 def canonical_codes(azimuth: F64, elevation: F64, dy: F64, level: float) -> NDArray[np.int8]:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.relations.comparison import between_facts, closest_facts, size_facts
-from condvln.relations.compass import COMPASS, sector_deviation
+from condvln.relations.compass import COMPASS, edge_azimuths, sector_deviation
 from condvln.relations.holding import Holding, holding_of
-from condvln.relations.metrics import AABB, SPHERE, PairMetrics, pair_metrics
+from condvln.relations.metrics import AABB, SPHERE, PairMetrics, millimetres, pair_metrics
 from condvln.relations.pieces import Pieces
 from condvln.relations.room import RoomRelations
 from condvln.relations.stacking import Stacking, exact_mm, held_by, stacking_of
@@ -123,12 +123,16 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     facts["lower than"] = _turned(facts["higher than"])
     facts["below"] = _turned(facts["above"])
     clear = (np.abs(metrics.elevation) < t.level) & (metrics.horizontal >= t.sector_horizontal_true)
-    beside, denied = ~stacking.over, {}
+    beside, edges, denied = (
+        ~stacking.over,
+        edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max))),
+        {},
+    )
     clearance = _rising(metrics.horizontal, 0.0, t.sector_horizontal_true)
     for sector, predicate in enumerate(COMPASS):
-        fact = _compass(sector_deviation(metrics.azimuth, sector), beside, clear, clearance, t)
-        facts[predicate] = _each(pieces, fact)
-        denied[predicate] = pieces.all((sector_deviation(metrics.azimuth, sector) > t.sector_denied) & beside)
+        seen = np.stack([sector_deviation(azimuth, sector) for azimuth in (metrics.azimuth, *edges)])
+        facts[predicate] = _each(pieces, _compass(seen, beside, clear, clearance, t))
+        denied[predicate] = pieces.all((seen > t.sector_denied).all(axis=0) & beside)
 
     return TextFacts(
         status={predicate: facts[predicate][0] for predicate in PAIR_PREDICATES},
@@ -294,16 +298,16 @@ def _in(s: Stacking, container: Mask, t: Thresholds) -> _Fact:
 
 
 def _higher(s: Stacking, t: Thresholds) -> _Fact:
-    """Return status and margin of "higher than", which compares both centres and tops. The status is 0 unless both
-    objects are off the floor and neither may support the other.
+    """Return status and margin of "higher than", which compares both centres and tops: the fact is false only if the
+    other object is higher by both. The status is 0 unless both objects are off the floor and neither may support the
+    other.
     """
     fit = (s.off_floor >= exact_mm(t.off_floor)) & ~np.isnan(s.off_floor)
     fit = fit[:, None] & fit[None, :] & ~s.carries & ~s.carries.T
-    rise, tops = (exact_mm(t.height_false), exact_mm(t.height_true)), (exact_mm(t.top_false), exact_mm(t.top_true))
-    true = fit & (s.rise >= rise[1]) & (s.top_rise >= tops[1])
-    false = fit & (s.rise <= rise[0]) & (s.top_rise <= tops[0])
-    middle = exact_mm(t.height)
-    return _fact(true, false, _rising(s.rise, middle, rise[1]), _rising(s.rise, middle, rise[0]))
+    middle, up, down = exact_mm(t.height), exact_mm(t.height_true), -exact_mm(t.other_way)
+    true = fit & (s.rise >= up) & (s.top_rise >= exact_mm(t.top_true))
+    false = fit & (s.rise <= down) & (s.top_rise <= down)
+    return _fact(true, false, _rising(s.rise, middle, up), _rising(s.rise, middle, down))
 
 
 def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) -> _Fact:
@@ -330,12 +334,17 @@ def _above(s: Stacking, horizontal: F64, footprint_overlap: F64, t: Thresholds) 
     return _fact(true, false, when_true, np.maximum(_rising(s.rise, exact_mm(t.height), low), s.apart / apart))
 
 
-def _compass(deviation: F64, beside: Mask, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
-    """Return status and margin of one compass direction between the centres of two objects. The status is 0 unless the
-    objects are side by side: neither is over, on or partly inside the other.
+def _compass(deviations: F64, beside: Mask, clear: Mask, clearance: F64, t: Thresholds) -> _Fact:
+    """Return status and margin of one compass direction. The status is 0 unless the objects are side by side: neither
+    is over, on or partly inside the other.
+
+    deviations (3, n, n) : off the direction, between the centres and from the nearest point of either footprint to the
+        other's centre
     """
-    off = deviation - SECTOR_HALF_WIDTH
-    when_true = np.minimum(off * (1.0 / (t.sector_true - SECTOR_HALF_WIDTH)), clearance)
-    when_false = off * (1.0 / (t.sector_false - SECTOR_HALF_WIDTH))
-    true, false = (deviation <= t.sector_true) & clear, deviation > t.sector_false
+    scale = np.array([t.sector_true - SECTOR_HALF_WIDTH, *[t.sector_edge - t.sector_false] * 2])
+    off = deviations - np.array([SECTOR_HALF_WIDTH, t.sector_false, t.sector_false])[:, None, None]
+    when_true = np.minimum((off * (1.0 / scale)[:, None, None]).min(axis=0), clearance)
+    when_false = (deviations.min(axis=0) - SECTOR_HALF_WIDTH) * (1.0 / (t.sector_false - SECTOR_HALF_WIDTH))
+    true = (deviations[0] <= t.sector_true) & (deviations[1:] <= t.sector_edge).all(axis=0) & clear
+    false = (deviations > t.sector_false).all(axis=0)
     return _fact(true & beside, false & beside, when_true, when_false)

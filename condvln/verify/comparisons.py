@@ -47,10 +47,35 @@ def compare_sizes(subject: Thing, rivals: Sequence[Thing], t: Thresholds, sign: 
     volumes, faces = [a * b * c for a, b, c in (one, other)], [b * c for _, b, c in (one, other)]
     if min(volumes) <= 0.0:
         return Judgement(UNDECIDED, {"box": None})
-    bigger = volumes[0] >= t.size_ratio * volumes[1] and faces[0] > faces[1]
-    smaller = volumes[1] >= t.size_ratio * volumes[0] and faces[1] > faces[0]
+    mine, its = _upright(subject), _upright(rivals[0])
+    # How many times as tall, as deep and as wide the subject is.
+    ratios = [a / b for a, b in zip(mine, its, strict=True)]
+    no_less = not any(b > t.size_side * a for a, b in zip(mine, its, strict=True))
+    no_more = not any(a > t.size_side * b for a, b in zip(mine, its, strict=True))
+    bigger = volumes[0] >= t.size_ratio * volumes[1] and faces[0] > faces[1] and no_less
+    smaller = volumes[1] >= t.size_ratio * volumes[0] and faces[1] > faces[0] and no_more
     true, false = (bigger, smaller) if sign > 0 else (smaller, bigger)
-    return judged(true, false, {"volume_ratio": volumes[0] / volumes[1]})
+    return judged(
+        true, false, {"volume_ratio": volumes[0] / volumes[1], "least_side": min(ratios), "greatest_side": max(ratios)}
+    )
+
+
+def _upright(thing: Thing) -> tuple[float, float, float]:
+    """Return the height and the shorter and longer horizontal side of an object's oriented box in millimetres, else of
+    its axis-aligned one; the object must have a box.
+    """
+    turned = thing.item.obb
+    if turned is None:
+        assert thing.box is not None
+        height = float(thing.box[1][1] - thing.box[0][1])
+        short, long = sorted(float(side) for side in thing.ground_sides())
+        return height, short, long
+    ways = [(-abs(float(turned.rotation[1][k])), k) for k in range(3)]
+    up = min(ways)[1]
+    sides = [float(round(2.0 * float(half) * 1000.0)) for half in turned.half_extents]
+    height = sides.pop(up)
+    short, long = sorted(sides)
+    return height, short, long
 
 
 def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t: Thresholds) -> Judgement:

@@ -121,15 +121,14 @@ class Judge:
         apart = math.hypot(east, north)
         if not apart or _is_over(one, other) or _is_over(other, one):
             return Judgement(UNDECIDED, {"horizontal": apart / 1000.0})
-        cross = east * towards[1] - north * towards[0]
-        off = math.degrees(math.atan2(abs(cross), east * towards[0] + north * towards[1]))
+        off = _degrees_off((east, north), towards)
+        from_edges = [_degrees_off(way, towards) for way in (_from_edge(one, other), _to_edge(one, other))]
         elevation = math.degrees(math.atan2(abs(one.centre[1] - other.centre[1]), apart))
         clear = elevation < self._t.level and apart >= whole_mm(self._t.sector_horizontal_true)
-        true = off <= self._t.sector_true and clear
-        judgement = judged(true, off > elsewhere, horizontal=apart)
-        return judgement._replace(
-            numbers={**judgement.numbers, "degrees_off": round(off, 3), "elevation": round(elevation, 3)}
-        )
+        true = off <= self._t.sector_true and max(from_edges) <= self._t.sector_edge and clear
+        judgement = judged(true, min(off, *from_edges) > elsewhere, horizontal=apart)
+        angles = {"degrees_off": off, "degrees_off_edges": max(from_edges), "elevation": elevation}
+        return judgement._replace(numbers={**judgement.numbers, **{name: round(x, 3) for name, x in angles.items()}})
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
@@ -168,6 +167,34 @@ def _along_ground(one: Thing, other: Thing) -> float | None:
         return None
     centres = math.hypot(one.centre[0] - other.centre[0], one.centre[2] - other.centre[2])
     return max(centres - 1000.0 * (one.item.radius + other.item.radius), 0.0)
+
+
+def _degrees_off(way: tuple[int, int], towards: tuple[int, int]) -> float:
+    """Return the angle in degrees between two directions, (east, north) each."""
+    cross = way[0] * towards[1] - way[1] * towards[0]
+    return math.degrees(math.atan2(abs(cross), way[0] * towards[0] + way[1] * towards[1]))
+
+
+def _from_edge(one: Thing, other: Thing) -> tuple[int, int]:
+    """Return the way (east, north) in millimetres to the centre of `one` from the nearest point of the footprint of
+    `other`, or from its centre if it has no box.
+    """
+    east, north = one.centre[0] - other.centre[0], other.centre[2] - one.centre[2]
+    if other.box is None:
+        return east, north
+    (west_side, _, north_side), (east_side, _, south_side) = other.box
+    x, z = one.centre[0], one.centre[2]
+    east = x - east_side if x > east_side else x - west_side if x < west_side else 0
+    north = north_side - z if z < north_side else south_side - z if z > south_side else 0
+    return east, north
+
+
+def _to_edge(one: Thing, other: Thing) -> tuple[int, int]:
+    """Return the way (east, north) in millimetres to the nearest point of the footprint of `one` from the centre of
+    `other`.
+    """
+    east, north = _from_edge(other, one)
+    return -east, -north
 
 
 def _is_over(one: Thing, other: Thing) -> bool:

@@ -112,7 +112,7 @@ def is_above(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -
 
 def is_higher(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) -> Judgement:
     """Return the judgement on "higher": centre and top are higher, both objects are well above the floor, and neither
-    supports the other.
+    supports the other. It is false only if centre and top are lower.
     """
     lifts = [room.off_floor(thing) for thing in (subject, anchor)]
     if subject.box is None or anchor.box is None or None in lifts:
@@ -121,7 +121,7 @@ def is_higher(subject: Thing, anchor: Thing, room: Surroundings, t: Thresholds) 
     fit = min(lift for lift in lifts if lift is not None) >= whole_mm(t.off_floor)
     fit = fit and not (room.may_carry(anchor, subject) or room.may_carry(subject, anchor))
     true = fit and up >= whole_mm(t.height_true) and tops >= whole_mm(t.top_true)
-    false = fit and up <= whole_mm(t.height_false) and tops <= whole_mm(t.top_false)
+    false = fit and max(up, tops) <= -whole_mm(t.other_way)
     return judged(true, false, height=up, tops=tops)
 
 

@@ -61,8 +61,8 @@ class Thresholds(Section):
     )
     height_false: Metres = Field(
         0.15,
-        description="maximum height of one thing's centre above the other's at which text treats “higher”, "
-        "“lower”, “above” and “below” as false",
+        description="maximum height of one thing's centre above the other's at which text treats “above” and “below” "
+        "as false",
     )
     over_horizontal: Metres = Field(
         0.50, description="maximum horizontal distance between two centres at which “above” and “below” are emitted"
@@ -89,10 +89,10 @@ class Thresholds(Section):
         description="minimum difference in height between the tops of two things at which text may say “higher” "
         "and “lower”; the thing with the higher centre must have the higher top",
     )
-    top_false: Metres = Field(
+    other_way: Metres = Field(
         0.05,
-        description="maximum height of one thing's top above the other's at which text treats “higher” and “lower” as "
-        "false",
+        description="minimum difference in height, of the centres and of the tops of two things, at which text treats "
+        "“higher” as false of the lower thing and “lower” as false of the higher one",
     )
     off_floor: Metres = Field(
         0.30,
@@ -161,6 +161,12 @@ class Thresholds(Section):
         description="minimum ratio of the volume of a thing's box to that of the other's, for text to say "
         "“the bigger” of the two",
     )
+    size_side: float = Field(
+        1.05,
+        ge=1,
+        description="maximum ratio of the height, and of each horizontal side, of the smaller of two things to that of "
+        "the bigger, for text to say “the bigger” of the two",
+    )
     sector_true: Degrees = Field(
         15.0, description="text may use a compass word up to this angle between the word's direction and the true one"
     )
@@ -171,6 +177,11 @@ class Thresholds(Section):
     )
     sector_denied: Degrees = Field(
         60.0, description="angle off the direction of a compass word beyond which a condition with this word is false"
+    )
+    sector_edge: Degrees = Field(
+        22.5,
+        description="maximum angle off the direction of a compass word as seen from the nearest point of either "
+        "thing's footprint, for text to use the word",
     )
     sector_horizontal_true: Metres = Field(
         0.5, description="minimum horizontal distance between two centres at which text may use a compass word"
@@ -217,12 +228,12 @@ class Thresholds(Section):
                 )
         for true, false, name in (
             (self.over_horizontal_true, self.over_horizontal, "over_horizontal"),
-            (self.top_false, self.top_true, "top"),
             (self.on_gap_true, self.on_gap_false, "on_gap"),
             (self.between_false, self.between_true, "between"),
             (self.between_true, 0.5, "between_true"),
             (self.between_off_true, self.between_off_false, "between_off"),
             (self.sector_false, self.sector_denied, "sector_denied"),
+            (self.sector_edge, self.sector_false, "sector_edge"),
         ):
             if not true < false:
                 raise ValueError(f"{name}: {true:g} must be below {false:g}")

@@ -54,6 +54,7 @@ MOVED: Final = {
 
 REMOVED: Final = {
     "episodes.path_spacing": "the locations of the ground truth are those that the follower walked through",
+    "thresholds.top_false": "“higher” is false where the other thing is higher by thresholds.other_way",
 }
 """Keys of earlier releases that were removed, with the reason."""
 

@@ -128,7 +128,7 @@ def test_each_fact_of_text_has_a_margin() -> None:
                     continue
                 tally[predicate, truth] += 1
                 (deciding,) = (one for one in found["criteria"] if one["decides"])
-                bound = float(re.findall(r"[\d.]+", deciding["true" if truth else "false"])[0])
+                bound = float(re.findall(r"-?[\d.]+", deciding["true" if truth else "false"])[0])
                 value = abs(deciding["value"]) if "within" in deciding["true"] and truth else deciding["value"]
                 assert found["margin"] == pytest.approx(abs(value - bound), abs=1e-9)
                 assert found["says"].split(" (")[0].endswith(f"so it is {str(truth).lower()}, by {written(found)}")

@@ -305,7 +305,7 @@ def _higher(a: Box, b: Box, floor: int) -> int:
     if a.lo[1] - floor < 300 or b.lo[1] - floor < 300:
         return 0
     rise, tops = a.at[1] - b.at[1], a.hi[1] - b.hi[1]
-    return verdict(rise >= 450 and tops >= 150, rise <= 150 and tops <= 50)
+    return verdict(rise >= 450 and tops >= 150, rise <= -50 and tops <= -50)
 
 
 def between(a: Box, b: Box, c: Box, floor: int) -> int:
@@ -365,18 +365,28 @@ def bigger(a: Box, rivals: Sequence[Box], rivals_of: Callable[[Box], Sequence[Bo
         return 0
     one, other = (s[0] * s[1] * s[2] for s in (a.sides, b.sides))
     face, other_face = (sorted(s)[1] * sorted(s)[2] for s in (a.sides, b.sides))
-    return verdict(2 * one >= 3 * other and face > other_face, 2 * other >= 3 * one and other_face > face)
+    # Of upright boxes the second extent is the height.
+    flat = [sorted((s[0], s[2])) for s in (a.sides, b.sides)]
+    taller, deeper, longer = (
+        (p, q) for p, q in ((a.sides[1], b.sides[1]), (flat[0][0], flat[1][0]), (flat[0][1], flat[1][1]))
+    )
+    no_less = all(100 * q <= 105 * p for p, q in (taller, deeper, longer))
+    no_more = all(100 * p <= 105 * q for p, q in (taller, deeper, longer))
+    return verdict(
+        2 * one >= 3 * other and face > other_face and no_less, 2 * other >= 3 * one and other_face > face and no_more
+    )
 
 
 NORTH = {"east of": (1, 0), "north-west of": (-1, 1), "south of": (0, -1)}
 """(east, north) of some sectors."""
 
 
-def beside(a: Box, b: Box, predicate: str, loose: int = 30) -> int:
-    return each(lambda p, q: _beside(p, q, NORTH[predicate], loose), a, b)
+def beside(a: Box, b: Box, predicate: str, loose: int = 30, whole: bool = True) -> int:
+    """Of centres alone unless `whole`."""
+    return each(lambda p, q: _beside(p, q, NORTH[predicate], loose, whole), a, b)
 
 
-def _beside(a: Box, b: Box, towards: tuple[int, int], loose: int) -> int:
+def _beside(a: Box, b: Box, towards: tuple[int, int], loose: int, whole: bool) -> int:
     east, north, up = a.at[0] - b.at[0], b.at[2] - a.at[2], a.at[1] - b.at[1]
     ground_way = math.hypot(east, north)
     for one, other in ((a, b), (b, a)):
@@ -384,9 +394,18 @@ def _beside(a: Box, b: Box, towards: tuple[int, int], loose: int) -> int:
             return 0
     if not ground_way:
         return 0
-    off = abs(math.remainder(math.atan2(north, east) - math.atan2(towards[1], towards[0]), 2 * math.pi))
+    ways = [(east, north)]
+    for one, other, sign in ((a, b, 1), (b, a, -1)):
+        if other.lo is not None and whole:
+            near = [min(max(one.at[k], other.lo[k]), other.hi[k]) for k in (0, 2)]
+            ways.append((sign * (one.at[0] - near[0]), sign * (near[1] - one.at[2])))
+    off, *edges = (
+        abs(math.remainder(math.atan2(y, x) - math.atan2(towards[1], towards[0]), 2 * math.pi)) for x, y in ways
+    )
+    edges = [off, *edges]
     level = abs(up) < ground_way * math.tan(math.radians(22.5))
-    return verdict(off <= math.radians(15) and level and ground_way >= 500, off > math.radians(loose))
+    true = off <= math.radians(15) and max(edges) <= math.radians(22.5) and level and ground_way >= 500
+    return verdict(true, min(edges) > math.radians(loose))
 
 
 def beside_it(a: Box, b: Box) -> bool:

@@ -73,14 +73,15 @@ GAP = 2 * HALF  # of centres of touching boxes
         ("far from", (0, 0, 0), -1),
         ("higher than", (2, 0.45, 0), 1),
         ("higher than", (2, 0.449, 0), 0),
-        ("higher than", (2, 0.051, 0), 0),  # tops as far apart as centres
-        ("higher than", (2, 0.05, 0), -1),
+        ("higher than", (2, 0, 0), 0),  # level
+        ("higher than", (2, -0.049, 0), 0),
+        ("higher than", (2, -0.05, 0), -1),
         ("higher than", (2, -1.6, 0), -1),
         ("higher than", (2, -1.601, 0), 0),  # less than 0.3 m off the floor
         ("lower than", (2, -0.45, 0), 1),
         ("lower than", (2, -0.449, 0), 0),
-        ("lower than", (2, -0.051, 0), 0),
-        ("lower than", (2, -0.05, 0), -1),
+        ("lower than", (2, 0.049, 0), 0),
+        ("lower than", (2, 0.05, 0), -1),
         ("lower than", (2, 5, 0), -1),
         ("above", (0, 0.45, 0), 1),
         ("above", (0, 0.449, 0), 0),
@@ -104,8 +105,8 @@ GAP = 2 * HALF  # of centres of touching boxes
         ("east of", (0.499, 0, 0), 0),
         ("east of", (10, 0, 2.679), 1),  # tan 15° = 0.26795
         ("east of", (10, 0, 2.680), 0),
-        ("east of", (10, 0, 5.773), 0),  # tan 30° = 0.57735
-        ("east of", (10, 0, 5.774), -1),
+        ("east of", (10, 0, 5.815), 0),  # tan 30° = 0.57735, from the nearest point of a footprint 0.2 m wide
+        ("east of", (10, 0, 5.816), -1),
         ("east of", (10, 4.142, 0), 1),  # tan 22.5° = 0.41421
         ("east of", (10, 4.143, 0), 0),
         ("east of", (-1, 3, 0), -1),
@@ -324,7 +325,7 @@ def test_a_superlative_needs_another_thing_of_its_label(make: Maker, room_of: Ro
         assert text_facts(relate_room(room, T), T).closest(rival)[0][0, 2] == expected
 
 
-@pytest.mark.parametrize(("z", "denied"), [(5.774, False), (17.320, False), (17.321, True), (-17.321, True)])
+@pytest.mark.parametrize(("z", "denied"), [(5.816, False), (17.320, False), (17.321, True), (-17.321, True)])
 def test_a_condition_denies_a_direction_where_another_is_meant(
     make: Maker, room_of: RoomOf, z: float, denied: bool
 ) -> None:
@@ -333,6 +334,70 @@ def test_a_condition_denies_a_direction_where_another_is_meant(
     assert facts.status["east of"][0, 1] == -1
     assert facts.denied["east of"][0, 1] == denied
     assert facts.denied["west of"][0, 1]
+
+
+@pytest.mark.parametrize(
+    ("center", "expected"),
+    [
+        # In front of the east end: 45° from the middle, north of the nearest point; nobody calls it "not north".
+        ((1.4, 0.2, -1.4), {"north-east of": 0, "north of": 0, "east of": -1, "west of": -1, "south of": -1}),
+        # Clear of the end on both axes, and seen as north-east from it.
+        ((2.4, 0.2, -2.2), {"north-east of": 1, "north of": 0}),
+        # A little beyond the end: 22.6° off north-east from its corner.
+        ((2.03, 0.2, -1.6), {"north-east of": 0}),
+        # In front of the middle, and a little aside of it.
+        ((0.2, 0.2, -1.4), {"north of": 1, "north-east of": -1, "east of": -1}),
+        # In front of a place between middle and end: 27° off north from the middle.
+        ((0.7, 0.2, -1.4), {"north of": 0, "north-east of": 0}),
+        # Beyond the end, nearly in line with the counter.
+        ((2.5, 0.2, -0.2), {"east of": 1, "north of": -1}),
+        # As close to the end as to the line along its front.
+        ((1.9, 0.2, -0.5), {"east of": 0}),
+    ],
+)
+def test_a_long_counter_lies_in_a_direction_from_all_of_it(
+    make: Maker, room_of: RoomOf, center: Sequence[float], expected: dict[str, int]
+) -> None:
+    """A counter 3 m long from west to east, and a thing around it; the same holds with the two exchanged."""
+    counter, thing = make("counter", (0, 0.45, 0), (1.5, 0.45, 0.3)), make("thing", center, (0.1, 0.2, 0.1))
+    facts = text_facts(relate_room(room_of([counter, thing]), T), T)
+    assert {predicate: int(facts.status[predicate][1, 0]) for predicate in expected} == expected
+    opposite = {predicate: COMPASS[(COMPASS.index(predicate) + 4) % 8] for predicate in expected}
+    assert {predicate: int(facts.status[opposite[predicate]][0, 1]) for predicate in expected} == expected
+
+
+def test_a_condition_does_not_deny_a_direction_from_the_nearest_point(make: Maker, room_of: RoomOf) -> None:
+    """64° off north from the counter's middle, but straight in front of its end."""
+    counter, thing = make("counter", (0, 0.45, 0), (1.5, 0.45, 0.3)), make("thing", (1.5, 0.2, -0.7), (0.1, 0.2, 0.1))
+    facts = text_facts(relate_room(room_of([counter, thing]), T), T)
+    assert not facts.denied["north of"][1, 0]
+    assert facts.denied["south of"][1, 0]
+    assert facts.status["north of"][1, 0] == 0
+
+
+@pytest.mark.parametrize(
+    ("half", "expected"),
+    [
+        ((0.2, 0.2, 0.2), 1),
+        ((0.2, 0.12, 0.2), 1),  # 1.92 times the volume, and level
+        ((0.3, 0.096, 0.3), 1),  # the other 1.04 times as tall
+        ((0.3, 0.094, 0.3), 0),
+        ((0.6, 0.2, 0.096), 1),
+        ((0.6, 0.2, 0.094), 0),  # the other is deeper
+        ((0.094, 0.2, 0.6), 0),
+        ((0.05, 0.05, 0.05), -1),
+        ((0.106, 0.05, 0.05), 0),  # a longer one
+    ],
+)
+def test_the_bigger_is_smaller_in_no_way(
+    make: Maker, room_of: RoomOf, half: tuple[float, float, float], expected: int
+) -> None:
+    """A wide faucet and a tall one: nobody knows which is the bigger."""
+    pair = [make("a", (0, 0.5, 0), half), make("b", (3, 0.5, 0), (0.1, 0.1, 0.1))]
+    room = room_of([replace(item, label="faucet") for item in pair])
+    sizes = text_facts(relate_room(room, T), T).sizes(np.array([[False, True], [True, False]]))
+    assert sizes["bigger"].tolist() == [expected, -expected]
+    assert sizes["smaller"].tolist() == [-expected, expected]
 
 
 def test_what_is_on_the_anchor_is_not_called_closest_to_it(make: Maker, room_of: RoomOf) -> None:

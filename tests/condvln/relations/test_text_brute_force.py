@@ -80,6 +80,8 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
             for predicate in plain.NORTH:
                 denied = facts.denied[predicate][i, j]
                 assert denied == (plain.beside(a, b, predicate, loose=60) == -1), (seed, predicate, a, b)
+                centres = plain.beside(a, b, predicate, whole=False)
+                tally["undecided by a footprint", centres] += centres != expected[predicate]
                 tally["denied", int(denied)] += 1
             tally["near, of what holds the other", facts.status["near"][i, j]] += (a.name, b.name) in holders
             for predicate, status in expected.items():
@@ -110,6 +112,8 @@ def test_equal_to_plain_loops() -> None:
     for predicate in PREDICATES:
         for status in (1, 0, -1):
             assert tally[predicate, status], f"no case of {predicate} is {status}"
+    assert all(tally["undecided by a footprint", status] for status in (1, -1))
+    assert not tally["undecided by a footprint", 0], "a footprint makes no direction true or false"
     for predicate in ("on, of arms", "north-west of, of arms"):
         assert all(tally[predicate, status] for status in (1, 0, -1)), predicate
     assert all(tally["on, of what is said", status] for status in (1, 0))

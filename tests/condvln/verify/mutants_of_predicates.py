@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
@@ -9,6 +10,11 @@ from mutation import Document, Files, World, mutator
 
 from condvln.relations import COMPASS, PAIR_PREDICATES
 from condvln.verify.words import words
+
+Change = tuple[Document, str, Document]
+"""A stop or a condition, the predicate that it gets, and the anchor."""
+Doubt = Callable[[str, str, str, str], bool]
+"""Whether a predicate is in doubt, of room, predicate, thing and anchor."""
 
 
 def _qualified(files: Files, *predicates: str) -> list[Document]:
@@ -174,5 +180,89 @@ def deny_what_is_not_clearly_so(files: Files, rng: np.random.Generator, world: W
         return False
     condition, predicate, anchor = ways[int(rng.integers(len(ways)))]
     condition["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
+    files.word()
+    return True
+
+
+def _asked_wrongly(files: Files, world: World, predicates: tuple[str, ...], doubtful: Doubt) -> list[Change]:
+    """Conditions and other predicates and anchors for them, which neither truth fits, where `doubtful` of one thing."""
+    ways = []
+    for condition in files.conditions:
+        room = condition["room"]["room_id"]
+        for anchor in _alone(world, room, condition["label"]):
+            names = [x for x in world.objects_like(room, condition["label"]) if x != anchor["object_id"]]
+            for predicate in predicates:
+                status = {world.status(room, predicate, x, anchor["object_id"]) for x in names}
+                denied = all(world.denied(room, predicate, x, anchor["object_id"]) for x in names)
+                if 1 in status or denied or not names:
+                    continue
+                if any(doubtful(room, predicate, x, anchor["object_id"]) for x in names):
+                    ways.append((condition, predicate, anchor))
+    return ways
+
+
+def _said(files: Files, rng: np.random.Generator, ways: list[Change]) -> bool:
+    if not ways:
+        return False
+    one, predicate, anchor = ways[int(rng.integers(len(ways)))]
+    one["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
+    files.word()
+    return True
+
+
+@mutator
+def ask_the_height_of_what_is_about_level(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A condition asks whether a thing is higher or lower than another, of which neither is clearly so."""
+
+    def level(room: str, predicate: str, name: str, anchor: str) -> bool:
+        own, other = (world.scene.object_of[x].box for x in (name, anchor))
+        return own is not None and other is not None and abs(float((own - other)[:, 1].mean())) < 0.45
+
+    return _said(files, rng, _asked_wrongly(files, world, ("higher than", "lower than"), level))
+
+
+@mutator
+def say_the_direction_from_one_point(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A condition or a stop takes a direction from centre to centre, which is another one from the nearest point of the
+    thing or its anchor."""
+
+    def by_centres(room: str, predicate: str, name: str, anchor: str) -> bool:
+        own, other = (world.scene.object_of[x].center for x in (name, anchor))
+        azimuth = np.degrees(np.arctan2(other[2] - own[2], own[0] - other[0]))
+        off = abs((azimuth - 45.0 * COMPASS.index(predicate) + 180.0) % 360.0 - 180.0)
+        return bool(off <= 15.0 or off > 60.0)
+
+    ways = _asked_wrongly(files, world, COMPASS, by_centres)
+    for stop in _stops(files):
+        room, name = stop["room"]["room_id"], stop["object_id"]
+        for anchor in _alone(world, room, stop["label"]):
+            for predicate in COMPASS:
+                if (
+                    anchor["object_id"] != name
+                    and world.status(room, predicate, name, anchor["object_id"]) == 0
+                    and by_centres(room, predicate, name, anchor["object_id"])
+                ):
+                    ways.append((stop, predicate, anchor))
+    return _said(files, rng, ways)
+
+
+@mutator
+def compare_what_no_size_tells_apart(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """Of two things of one label, neither of which is larger in every way, the stop is called the bigger or smaller."""
+    ways = []
+    for stop in _stops(files):
+        room, name = stop["room"]["room_id"], stop["object_id"]
+        ids = world.scene.arrays(room).object_ids
+        alike = world.objects_like(room, stop["label"])
+        rivals = np.zeros((len(ids), len(ids)), dtype=bool)
+        order = [ids.index(x) for x in alike]
+        rivals[np.ix_(order, order)] = True
+        np.fill_diagonal(rivals, False)
+        sizes = world.facts[room].sizes(rivals)
+        ways += [(stop, predicate) for predicate, status in sizes.items() if status[ids.index(name)] != 1]
+    if not ways:
+        return False
+    stop, predicate = ways[int(rng.integers(len(ways)))]
+    stop["qualifier"] = {"predicate": predicate, "anchors": []}
     files.word()
     return True

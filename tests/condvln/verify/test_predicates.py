@@ -144,7 +144,7 @@ def test_near_at_its_margins(millimetres: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("up", "expected"), [(449, UNDECIDED), (450, TRUE), (50, FALSE), (51, UNDECIDED), (-900, FALSE)]
+    ("up", "expected"), [(449, UNDECIDED), (450, TRUE), (0, UNDECIDED), (-49, UNDECIDED), (-50, FALSE), (-900, FALSE)]
 )
 def test_higher_at_its_margins(up: int, expected: int) -> None:
     one, other = made("a", [3, 2 + up / 1000, 0], [0.1] * 3), made("b", [0, 2, 0], [0.1] * 3)
