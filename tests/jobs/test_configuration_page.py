@@ -76,7 +76,7 @@ CHANGED: dict[str, Any] = {
     "thresholds.closest_ratio": 9.0,
     "thresholds.closest_gap": 5.0,
     "thresholds.size_ratio": 9.0,
-    "thresholds.size_side": 1.0,
+    "thresholds.size_side": 3.0,
     "thresholds.sector_true": 5.0,
     "thresholds.sector_false": 55.0,
     "thresholds.sector_denied": 85.0,
@@ -306,7 +306,9 @@ def test_a_rare_key_changes_what_is_true(stock, path: str) -> None:
             facts = text_facts(relate_room(RoomArrays.of("room", objects, 0.0), thresholds), thresholds)
             alike = np.array([[a.label == b.label and a is not b for b in objects] for a in objects])
             pairs = np.array(list(combinations(range(len(objects)), 2)))
-            found += [facts.status[p].tolist() for p in ("on", "under", "in", "near", "higher than", "lower than")]
+            found += [
+                facts.status[p].tolist() for p in ("on", "under", "in", "near", "above", "higher than", "lower than")
+            ]
             found += [facts.between(pairs)[0].tolist(), facts.sizes(alike)["bigger"].tolist()]
         return found
 
