@@ -10,7 +10,7 @@ from typing import Final
 import pyarrow as pa
 
 from condvln.instructions.counterfactuals import group_id
-from condvln.instructions.programs import instruction_id
+from condvln.instructions.programs import ProgramParts, instruction_id
 from condvln.instructions.sampling import ProgramSampler
 from condvln.instructions.tables import instruction_table, programs_from_table
 from schemas.config import InstructionCell
@@ -62,14 +62,15 @@ def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
     programs.
     """
     family, scene_id = sampler.scene.family, sampler.scene.scene_id
+    parts = ProgramParts()
     found = [
-        Candidate(instruction_id(family, scene_id, program), program, cell)
+        Candidate(instruction_id(family, scene_id, program, parts), program, cell)
         for category in CATEGORIES
         for cell, program in sampler.drawn(category)
     ]
     for group in sampler.groups():
         name = group_id(family, scene_id, group)
-        found += [Candidate(instruction_id(family, scene_id, program), program, None, name) for program in group]
+        found += [Candidate(instruction_id(family, scene_id, program, parts), program, None, name) for program in group]
     return found
 
 

@@ -216,11 +216,13 @@ class Observer:
         target = self.target(name)
         if target is None:
             return False
-        seen = np.any([self._seen[name, eye.tobytes()] for eye in eyes], axis=0)
+        seen = self._seen[name, eyes[0].tobytes()]
+        if len(eyes) > 1:
+            seen = np.any([self._seen[name, eye.tobytes()] for eye in eyes], axis=0)
         if yaw is not None:
-            seen &= in_view(eyes, target.samples, self._front, [yaw])[0]
+            seen = seen & in_view(eyes, target.samples, self._front, [yaw])[0]
         least = self._rules.floor_seen if name[0] == "floor" else self._rules.object_seen
-        return bool(seen.mean() >= least)
+        return bool(len(seen) and np.count_nonzero(seen) / len(seen) >= least)
 
 
 def _all(ways: _Needs) -> list[SightNeed]:

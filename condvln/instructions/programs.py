@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
 
 import orjson
 
@@ -12,13 +13,19 @@ from schemas.program import Branch, Condition, ObjectRef, Program, Qualifier, Ro
 
 __all__ = [
     "ID_LENGTH",
+    "ProgramParts",
+    "branch_documents",
     "composition",
+    "condition_document",
     "instruction_id",
     "leaves_below",
+    "move_document",
     "oracle_linear",
     "program_document",
     "program_key",
 ]
+
+T = TypeVar("T")
 
 ID_LENGTH = 20
 """Hexadecimal digits kept of a SHA-256: 80 bits, so that a million instructions collide with probability 4e-13."""
@@ -31,16 +38,17 @@ def program_document(program: Program) -> dict[str, Any]:
     """
     return {
         "category": program.category,
-        "conditions": [_condition(condition) for condition in program.conditions],
-        "branches": [{name: getattr(branch, name) for name in _BRANCH} for branch in program.branches],
-        "leaves": [{"moves": [_move(move) for move in leaf.moves]} for leaf in program.leaves],
+        "conditions": [condition_document(condition) for condition in program.conditions],
+        "branches": branch_documents(program.branches),
+        "leaves": [{"moves": [move_document(move) for move in leaf.moves]} for leaf in program.leaves],
     }
 
 
 _BRANCH: Final = tuple(Branch.model_fields)
 
 
-def _condition(condition: Condition) -> dict[str, Any]:
+def condition_document(condition: Condition) -> dict[str, Any]:
+    """Return a condition as plain data; see `program_document`."""
     return {
         "label": condition.label,
         "room": _room(condition.room),
@@ -51,7 +59,8 @@ def _condition(condition: Condition) -> dict[str, Any]:
     }
 
 
-def _move(move: ObjectRef) -> dict[str, Any]:
+def move_document(move: ObjectRef) -> dict[str, Any]:
+    """Return a stop as plain data; see `program_document`."""
     return {
         "object_id": move.object_id,
         "label": move.label,
@@ -76,22 +85,53 @@ def _qualifier(qualifier: Qualifier | None) -> dict[str, Any] | None:
     return {"predicate": qualifier.predicate, "anchors": anchors}
 
 
-def program_key(program: Program) -> str:
+class ProgramParts:
+    """The canonical JSON of the parts of programs. A sampler makes each condition and each name of a stop once, and
+    hundreds of programs share them. Parts are kept, so that the identity of each stays its own.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[object, bytes]] = {}
+
+    def text(self, part: T, document: Callable[[T], Any]) -> bytes:
+        """Return the JSON of what `document` makes of a part."""
+        found = self._known.get(id(part))
+        if found is None:
+            found = self._known[id(part)] = (part, orjson.dumps(document(part), option=orjson.OPT_SORT_KEYS))
+        return found[1]
+
+
+def program_key(program: Program, parts: ProgramParts | None = None) -> str:
     """Return the SHA-256 of the program's canonical JSON, truths and witnesses included: equal keys mean equal
     programs.
 
-    Whether a condition is definite follows from the scene, and is left out.
+    Whether a condition is definite follows from the scene, and is left out. `parts` has the parts of other programs.
     """
-    document = program_document(program)
-    for condition in document["conditions"]:
-        del condition["definite"]
-    text = orjson.dumps(document, option=orjson.OPT_SORT_KEYS)
-    return hashlib.sha256(text).hexdigest()
+    text = (ProgramParts() if parts is None else parts).text
+    leaves = [b",".join([text(move, move_document) for move in leaf.moves]) for leaf in program.leaves]
+    whole = b'{"branches":%b,"category":%b,"conditions":[%b],"leaves":[%b]}' % (
+        orjson.dumps(branch_documents(program.branches), option=orjson.OPT_SORT_KEYS),
+        orjson.dumps(program.category),
+        b",".join([text(condition, _told) for condition in program.conditions]),
+        b",".join([b'{"moves":[%b]}' % moves for moves in leaves]),
+    )
+    return hashlib.sha256(whole).hexdigest()
 
 
-def instruction_id(family: str, scene_id: str, program: Program) -> str:
+def branch_documents(branches: tuple[Branch, ...]) -> list[dict[str, Any]]:
+    """Return branches as plain data; see `program_document`."""
+    return [{name: getattr(branch, name) for name in _BRANCH} for branch in branches]
+
+
+def _told(condition: Condition) -> dict[str, Any]:
+    document = condition_document(condition)
+    del document["definite"]
+    return document
+
+
+def instruction_id(family: str, scene_id: str, program: Program, parts: ProgramParts | None = None) -> str:
     """Return the id of one program in one scene."""
-    key = f"{family}\x1f{scene_id}\x1f{program_key(program)}"
+    key = f"{family}\x1f{scene_id}\x1f{program_key(program, parts)}"
     return hashlib.sha256(key.encode()).hexdigest()[:ID_LENGTH]
 
 

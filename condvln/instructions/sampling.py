@@ -268,7 +268,7 @@ class ProgramSampler:
                 rejected[reason] += count
             if stops is None:
                 return
-            left -= reasons.total() + 1
+            left -= sum(reasons.values()) + 1
             yield stops
 
     def _worded(self, cell: InstructionCell, program: Program) -> None:

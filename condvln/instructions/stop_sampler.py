@@ -131,7 +131,7 @@ class StopSampler:
         used: Counter[str],
         cap: float,
         draws: Draws,
-    ) -> tuple[Counter[str], DrawnStops | None]:
+    ) -> tuple[dict[str, int], DrawnStops | None]:
         """Draw until the stops fit, at most `tries` times. Return how many tries failed for each reason, and the stops;
         None if all tries failed.
 
@@ -144,11 +144,11 @@ class StopSampler:
         """
         n, waypoints = len(moves), max(moves) - 1
         if composition is None or self.kinds < _ROOMS_OF[composition][0]:
-            return Counter(no_targets=tries), None
+            return {"no_targets": tries}, None
         least, most = _ROOMS_OF[composition]
         roomy, roomy_sums = self._roomy(n, waypoints)
         if composition == "C0" and not len(roomy):
-            return Counter({"no_waypoint" if self.roomy(n) else "no_targets": tries}), None
+            return {"no_waypoint" if self.roomy(n) else "no_targets": tries}, None
         goals_with = used.get
         counts, of_label = (
             np.array(moves, np.int64),
@@ -178,13 +178,13 @@ class StopSampler:
             return failed, failures.tolist(), rooms.tolist(), stops.tolist()
 
         failed, failures, rooms, stops = draws.compiled(draw)
-        reasons = Counter({reason: count for reason, count in zip(FAILURES, failures, strict=True) if count})
+        reasons = {reason: count for reason, count in zip(FAILURES, failures, strict=True) if count} if failed else {}
         if failed == tries:
             return reasons, None
         leaves = tuple(
-            tuple(self._targets[k] for k in found[:count]) for found, count in zip(stops, moves, strict=True)
+            [tuple([self._targets[k] for k in found[:count]]) for found, count in zip(stops, moves, strict=True)]
         )
-        return reasons, DrawnStops(tuple(self._room_ids[k] for k in rooms[1 : 1 + rooms[0]]), leaves)
+        return reasons, DrawnStops(tuple([self._room_ids[k] for k in rooms[1 : 1 + rooms[0]]]), leaves)
 
     def _roomy(self, leaves: int, waypoints: int) -> tuple[I64, NDArray[np.float64]]:
         """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import accumulate
+from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from condvln.instructions.programs import composition, program_document
-from schemas.program import Program
+from condvln.instructions.programs import branch_documents, composition, condition_document, move_document
+from schemas.program import Condition, Leaf, Program
 from schemas.tables import INSTRUCTIONS
 
 __all__ = ["instruction_table", "programs_from_table"]
+
+T = TypeVar("T")
 
 
 def instruction_table(
@@ -27,30 +30,65 @@ def instruction_table(
     programs : (instruction id, program)
     texts, groups : text and counterfactual group by instruction id; null if missing
     """
-    rows = [
-        _row(scene_id, name, program, (texts or {}).get(name), (groups or {}).get(name)) for name, program in programs
-    ]
-    return pa.Table.from_pylist(rows, schema=INSTRUCTIONS)
-
-
-def _row(scene_id: str, name: str, program: Program, text: str | None, group: str | None) -> dict[str, Any]:
-    gold = program.gold_leaf()
-    return {
-        "scene_id": scene_id,
-        "instruction_id": name,
-        "group_id": group,
-        "depth": program.depth,
-        "chain": program.chain,
-        "composition": composition(program),
-        "n_conditions": len(program.conditions),
-        "n_relational": sum(condition.kind == "relation" for condition in program.conditions),
-        "n_leaves": len(program.leaves),
-        "gold_leaf": gold,
-        "moves": len(program.leaves[gold].moves),
-        **program_document(program),
-        "text": text,
-        "words": None if text is None else len(text.split()),
+    given = list(programs)
+    names, found = [name for name, _ in given], [program for _, program in given]
+    golds = [program.gold_leaf() for program in found]
+    said = [(texts or {}).get(name) for name in names]
+    columns: dict[str, Any] = {
+        "scene_id": [scene_id] * len(names),
+        "instruction_id": names,
+        "group_id": [(groups or {}).get(name) for name in names],
+        "category": [program.category for program in found],
+        "depth": [program.depth for program in found],
+        "chain": [program.chain for program in found],
+        "composition": [composition(program) for program in found],
+        "n_conditions": [len(program.conditions) for program in found],
+        "n_relational": [sum([one.kind == "relation" for one in program.conditions]) for program in found],
+        "n_leaves": [len(program.leaves) for program in found],
+        "gold_leaf": golds,
+        "moves": [len(program.leaves[gold].moves) for program, gold in zip(found, golds, strict=True)],
+        "conditions": _conditions([program.conditions for program in found]),
+        "branches": [branch_documents(program.branches) for program in found],
+        "leaves": _leaves([program.leaves for program in found]),
+        "text": said,
+        "words": [None if text is None else len(text.split()) for text in said],
     }
+    arrays = [
+        column if isinstance(column, pa.Array) else pa.array(column, field.type)
+        for field, column in zip(INSTRUCTIONS, (columns[name] for name in INSTRUCTIONS.names), strict=True)
+    ]
+    return pa.Table.from_arrays(arrays, schema=INSTRUCTIONS)
+
+
+def _conditions(rows: Sequence[Sequence[Condition]]) -> pa.Array:
+    kind = INSTRUCTIONS.field("conditions").type
+    values = _shared([condition for row in rows for condition in row], condition_document, kind.value_type)
+    return pa.ListArray.from_arrays(_offsets(rows), values)
+
+
+def _leaves(rows: Sequence[Sequence[Leaf]]) -> pa.Array:
+    leaf = INSTRUCTIONS.field("leaves").type.value_type
+    stops = [one.moves for row in rows for one in row]
+    values = _shared([move for moves in stops for move in moves], move_document, leaf.field("moves").type.value_type)
+    moves = pa.ListArray.from_arrays(_offsets(stops), values)
+    return pa.ListArray.from_arrays(_offsets(rows), pa.StructArray.from_arrays([moves], fields=[leaf.field("moves")]))
+
+
+def _shared(parts: Sequence[T], document: Callable[[T], dict[str, Any]], kind: pa.DataType) -> pa.Array:
+    """Return `parts` as an array. What occurs several times is written once: programs of a scene share most
+    of their parts.
+    """
+    numbers: dict[int, int] = {}
+    distinct: list[dict[str, Any]] = []
+    for part in parts:
+        if id(part) not in numbers:
+            numbers[id(part)] = len(distinct)
+            distinct.append(document(part))
+    return pa.array(distinct, kind).take(pa.array([numbers[id(part)] for part in parts], pa.int64()))
+
+
+def _offsets(rows: Sequence[Sequence[object]]) -> pa.Array:
+    return pa.array(accumulate(map(len, rows), initial=0), pa.int32())
 
 
 def programs_from_table(table: pa.Table) -> list[tuple[str, Program]]:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Final, Generic, TypeVar
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from condvln.episodes.candidates import Candidate, candidates_from_table
 from condvln.episodes.steps import Walkable
 from condvln.episodes.view import SceneView
-from condvln.instructions import LabelPriors, PriorBits
+from condvln.instructions import LabelPriors, PriorBits, programs_from_table
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -29,6 +30,7 @@ from schemas.config import (
     Section,
     WordingConfig,
 )
+from schemas.program import Program
 
 __all__ = [
     "NAVMESHES",
@@ -40,6 +42,7 @@ __all__ = [
     "keep_candidates",
     "navmeshes_table",
     "pathfinder_of",
+    "programs_of",
     "scene_of",
     "source_of",
     "walkable_of",
@@ -110,13 +113,20 @@ class _Latest(Generic[V]):
 
     def get(self, parts: tuple[object, ...], make: Callable[[], V]) -> V:
         """Return the cached value if each of `parts` is the same object as before or equal to it; else call `make`."""
-        kept = self._kept
-        if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
-            return kept[1]
+        known = self.known(parts)
+        if known is not None:
+            return known
         self._kept = None  # freed before the next one is made
         made = make()
         self._kept = (parts, made)
         return made
+
+    def known(self, parts: tuple[object, ...]) -> V | None:
+        """Return the cached value if each of `parts` is the same object as before or equal to it, else None."""
+        kept = self._kept
+        if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
+            return kept[1]
+        return None
 
 
 def _same(one: object, other: object) -> bool:
@@ -130,6 +140,7 @@ def _same(one: object, other: object) -> bool:
 _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
 _candidates: Final[_Latest[list[Candidate]]] = _Latest()
+_programs: Final[_Latest[dict[str, Program]]] = _Latest()
 _bits: Final[_Latest[PriorBits]] = _Latest()
 
 
@@ -172,6 +183,16 @@ def bits_of(scene: Scene, priors: pa.Table, plausible_share: float) -> PriorBits
 def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:
     """Cache the candidates that `table` was made of, so that the next stages of the scene need not parse the table."""
     _candidates.get((table, *wanted), lambda: candidates)
+    _programs.get((table,), lambda: {one.instruction_id: one.program for one in candidates})
+
+
+def programs_of(table: pa.Table, names: pa.ChunkedArray) -> dict[str, Program]:
+    """Return the programs with the instruction ids `names` by their ids, in the order of a table of candidates."""
+    known = _programs.known((table,))
+    if known is None:
+        return dict(programs_from_table(table.filter(pc.is_in(table["instruction_id"], value_set=names))))
+    wanted = set(names.to_pylist())
+    return {name: program for name, program in known.items() if name in wanted}
 
 
 def candidates_of(table: pa.Table, wanted: Sequence[InstructionCell]) -> list[Candidate]:

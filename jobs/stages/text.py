@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from condvln.episodes.steps import published_texts
 from condvln.episodes.table import (
     with_text,
 )
-from condvln.instructions import (
-    instruction_table,
-    programs_from_table,
-)
+from condvln.instructions import instruction_table
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump
+from jobs.stages.inputs import Tables, dump, programs_of
 from schemas.canonical import JSON
 from schemas.config import (
     StepBudget,
@@ -54,8 +50,7 @@ class TextStage(Stage):
         candidates = upstream["candidates"]
         wanted = [*placements["instruction_id"].chunks, *upstream["unplaced"]["instruction_id"].chunks]
         names = pa.chunked_array(wanted, pa.string())
-        kept = candidates.filter(pc.is_in(candidates["instruction_id"], value_set=names))
-        programs = dict(programs_from_table(kept))
+        programs = programs_of(candidates, names)
         groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
         rows = placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist()
         bodies, texts = published_texts(programs, rows, self.text, self.wording, self.seed)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import orjson
+import pyarrow as pa
 
 from condvln.instructions import instruction_id, instruction_table, program_key, programs_from_table
-from condvln.instructions.programs import composition, program_document
+from condvln.instructions.programs import ProgramParts, composition, program_document
 from schemas.tables import INSTRUCTIONS
 
 
@@ -31,6 +34,30 @@ def test_a_program_is_written_as_pydantic_writes_it(sampled) -> None:
     for _, _, _, programs in sampled:
         for program in programs:
             assert orjson.loads(orjson.dumps(program_document(program))) == program.model_dump(mode="json")
+
+
+def test_a_table_is_what_arrow_makes_of_the_rows(sampled) -> None:
+    for scene, _, _, programs in sampled:
+        named = [(f"{k}", program) for k, program in enumerate([*programs, *programs[:3]])]
+        table = instruction_table(scene.scene_id, named, {"0": "Go."}, {"1": "together"})
+        rows = table.to_pylist()
+        assert table.equals(pa.Table.from_pylist(rows, schema=INSTRUCTIONS))
+        for (_, program), row in zip(named, rows, strict=True):
+            document = orjson.loads(orjson.dumps(program_document(program)))
+            assert {name: row[name] for name in document} == document
+        assert [row["group_id"] for row in rows[:3]] == [None, "together", None]
+    assert instruction_table("empty", []).equals(INSTRUCTIONS.empty_table())
+
+
+def test_a_key_is_the_hash_of_the_canonical_json(sampled) -> None:
+    for _, _, _, programs in sampled:
+        parts = ProgramParts()
+        for program in programs:
+            document = program.model_dump(mode="json")
+            for condition in document["conditions"]:
+                del condition["definite"]
+            expected = hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
+            assert program_key(program) == program_key(program, parts) == expected
 
 
 def test_ids_name_content(sampled) -> None:
