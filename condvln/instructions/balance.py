@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 __all__ = ["balanced_weights", "jointly_balanced_weights"]
 
-BALANCING_ROUNDS: Final = 30
+BALANCING_ROUNDS: Final = 100
 """Iterations of proportional fitting; the marginals of real rooms converge to 1e-3 within about ten."""
 
 LEAST_WEIGHT: Final = 1e-6

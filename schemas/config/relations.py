@@ -179,7 +179,7 @@ class Thresholds(Section):
         60.0, description="angle off the direction of a compass word beyond which a condition with this word is false"
     )
     sector_edge: Degrees = Field(
-        22.5,
+        27.0,
         description="maximum angle off the direction of a compass word as seen from the nearest point of either "
         "thing's footprint, for text to use the word",
     )

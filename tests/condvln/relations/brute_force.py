@@ -404,7 +404,7 @@ def _beside(a: Box, b: Box, towards: tuple[int, int], loose: int, whole: bool) -
     )
     edges = [off, *edges]
     level = abs(up) < ground_way * math.tan(math.radians(22.5))
-    true = off <= math.radians(15) and max(edges) <= math.radians(22.5) and level and ground_way >= 500
+    true = off <= math.radians(15) and max(edges) <= math.radians(27) and level and ground_way >= 500
     return verdict(true, min(edges) > math.radians(loose))
 
 

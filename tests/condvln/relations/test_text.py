@@ -343,8 +343,8 @@ def test_a_condition_denies_a_direction_where_another_is_meant(
         ((1.4, 0.2, -1.4), {"north-east of": 0, "north of": 0, "east of": -1, "west of": -1, "south of": -1}),
         # Clear of the end on both axes, and seen as north-east from it.
         ((2.4, 0.2, -2.2), {"north-east of": 1, "north of": 0}),
-        # A little beyond the end: 22.6° off north-east from its corner.
-        ((2.03, 0.2, -1.6), {"north-east of": 0}),
+        # A little beyond the end: 27.9° off north-east from its corner.
+        ((1.9, 0.2, -1.6), {"north-east of": 0}),
         # In front of the middle, and a little aside of it.
         ((0.2, 0.2, -1.4), {"north of": 1, "north-east of": -1, "east of": -1}),
         # In front of a place between middle and end: 27° off north from the middle.
@@ -352,7 +352,7 @@ def test_a_condition_denies_a_direction_where_another_is_meant(
         # Beyond the end, nearly in line with the counter.
         ((2.5, 0.2, -0.2), {"east of": 1, "north of": -1}),
         # As close to the end as to the line along its front.
-        ((1.9, 0.2, -0.5), {"east of": 0}),
+        ((1.85, 0.2, -0.485), {"east of": 0}),
     ],
 )
 def test_a_long_counter_lies_in_a_direction_from_all_of_it(
