@@ -194,7 +194,7 @@ class World:
         drawn = draw_programs(
             scene,
             self._facts(thresholds),
-            priors.bits(scene, sampling.plausible_share),
+            priors.bits(scene, sampling.plausible_share, sampling.predicates, instructions.directions),
             walkable,
             sightings,
             instructions=instructions,

@@ -262,12 +262,14 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
     known = False
     for truth, support in ((True, truths.true), (False, truths.false)):
         rows, columns = np.nonzero(support)
-        seen = [
-            bits.counts.get((room_type, truths.labels[row], truths.predicate, anchors[column], definite[row]), (0, 0))
+        said = [
+            (room_type, truths.labels[row], truths.predicate, anchors[column], definite[row])
             for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
         ]
-        if seen:
-            counts = np.array(seen, dtype=np.float64)
+        if said:
+            counts = np.array([bits.counts.get(statement, (0, 0)) for statement in said], dtype=np.float64)
+            even = np.array([bits.even.get(statement, 1.0) for statement in said])
             known |= bool((counts.sum(axis=1) >= evidence).any())
-            tables[truth][rows, columns] = factors[rows, int(truth)] * statement_weights(counts, evidence)[truth]
+            weights = statement_weights(counts, evidence)[truth] * (even if truth else 1.0 / even)
+            tables[truth][rows, columns] = factors[rows, int(truth)] * weights
     return tables if known else None

@@ -12,10 +12,9 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from schemas.config.constants import EVIDENCE, STAGINGS
+from schemas.config.constants import EVIDENCE
 
 __all__ = ["LabelForm", "informative_weights", "label_weights", "statement_weights"]
 
@@ -49,18 +48,18 @@ def statement_weights(counts: F64, evidence: int = EVIDENCE) -> dict[bool, F64]:
     """Return what `informative_weights` returns, of n statements, (n,). `counts` (n, 2) has the numbers of rooms in
     which each statement is true and in which it is false.
     """
-    true, false = _weights(counts[:, 0], counts[:, 1], np.full(len(counts), evidence))
+    true, false = _weights(counts[:, 0], counts[:, 1], evidence)
     return {True: true, False: false}
 
 
-def _weights(n_true: F64, n_false: F64, evidence: NDArray[np.int64]) -> tuple[F64, F64]:
+def _weights(n_true: F64, n_false: F64, evidence: int) -> tuple[F64, F64]:
     total = n_true + n_false
     rate = (n_true + PSEUDOCOUNT) / (total + 2.0 * PSEUDOCOUNT)
     varies = (total < evidence) | (np.minimum(n_true, n_false) > 0)
     return np.where(varies, 1.0 - rate, 0.0), np.where(varies, rate, 0.0)
 
 
-def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, tuple[float, float]]:
+def label_weights(counts: pa.Table) -> dict[LabelForm, tuple[float, float]]:
     """Return, for each form of the statements about a label in a type of room, the factors by which the weights of its
     false and of its true statements are multiplied. With them, statements of this form are sampled as often true as
     false over all rooms; no factor is above 1.
@@ -68,12 +67,10 @@ def label_weights(counts: pa.Table, staged: frozenset[str]) -> dict[LabelForm, t
     Parameters
     ----------
     counts : relational statements, with the columns ``n_true`` and ``n_false``; a statement may have several rows
-    staged : room types whose statements are of stagings of one layout
     """
     sums = counts.group_by(_STATEMENT).aggregate([("n_true", "sum"), ("n_false", "sum")])
     n_true, n_false = (sums[name].to_numpy().astype(np.float64) for name in ("n_true_sum", "n_false_sum"))
-    of_layout = pc.is_in(sums["room_type"], pa.array(sorted(staged), pa.string())).to_numpy()
-    true, false = _weights(n_true, n_false, np.where(of_layout, STAGINGS, EVIDENCE))
+    true, false = _weights(n_true, n_false, EVIDENCE)
     forms = {name: sums[name] for name in _STATEMENT if name != "anchor"}
     exact = {
         name: np.rint(weight * EXACT).astype(np.int64)

@@ -11,7 +11,7 @@ that knows the layout.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -23,26 +23,25 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.instructions.informative import LabelForm, label_weights
+from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
+from condvln.instructions.stagings import Statement, even_factors
 from condvln.instructions.statements import anchor_key, statement_truths
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
 from condvln.scene.layouts import layout_of
 from schemas.canonical import JSON
-from schemas.config import Thresholds
+from schemas.config import PredicateWeights, Thresholds
 from schemas.config.constants import EVIDENCE, RATE_STEPS, STAGINGS
+from schemas.program import asked_in
 
 __all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
-
-Statement = tuple[str, str, str, str, bool]
-"""Room type, label, predicate, anchor label, whether the statement is definite. For presence, the predicate and the
-anchor label are empty, and the last value is False.
-"""
 
 PRIORS: Final = pa.schema(
     [
         pa.field("layout", pa.string(), nullable=False),
+        pa.field("staging", pa.string(), nullable=False),
         pa.field("room_type", pa.string(), nullable=False),
         pa.field("label", pa.string(), nullable=False),
         pa.field("predicate", pa.string(), nullable=False),
@@ -52,18 +51,20 @@ PRIORS: Final = pa.schema(
         pa.field("n_false", pa.int64(), nullable=False),
     ]
 )
-"""The number of rooms of a type in which a statement is usable as true and as false, by layout (empty for scenes that
-are not variants).
+"""The number of rooms of a type in which a statement is usable as true and as false, by layout and, in a layout, by
+scene id (both empty for scenes that are not variants of a layout).
 
 A row with an empty label counts the rooms of a type. A row with an empty predicate is the presence of a label, counted
 as false in rooms where absence can be claimed: another room of the same scene has the label, and no word for it fits
 anything in this room.
 """
 
+DEFAULT_WEIGHTS: Final = PredicateWeights()
+
 MERGE_ROWS: Final = 200_000
 """Number of rows collected before they are summed: limits memory without summing for every scene."""
 
-_KEYS: Final = ("layout", "room_type", "label", "predicate", "anchor", "definite")
+_KEYS: Final = ("layout", "staging", "room_type", "label", "predicate", "anchor", "definite")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,9 @@ class PriorBits:
         layout has enough rooms, only these are counted; statements never found are missing
     staged : room types for which only rooms of the scene's layout are counted
     label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
-        statements (``informative.label_weights``)
+        statements (``informative.label_weights``); of room types that are not `staged`
+    even : by statement about a room type that is `staged`, the factor by which the weight of a true one is multiplied
+        and that of a false one divided (``stagings.even_factors``)
     """
 
     plausible: Mapping[str, frozenset[str]]
@@ -86,6 +89,7 @@ class PriorBits:
     counts: Mapping[Statement, tuple[int, int]]
     staged: frozenset[str] = frozenset()
     label_weights: Mapping[LabelForm, tuple[float, float]] = field(default_factory=dict)
+    even: Mapping[Statement, float] = field(default_factory=dict)
 
     def evidence(self, room_type: str) -> int:
         """Return the minimum number of rooms of type `room_type` in which a statement must be counted before its counts
@@ -101,6 +105,7 @@ class PriorBits:
             (*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())
         ]
         rates += [(*key, *(round(RATE_STEPS * f) for f in both)) for key, both in sorted(self.label_weights.items())]
+        rates += [(*key, factor) for key, factor in sorted(self.even.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
@@ -126,7 +131,7 @@ class LabelPriors:
         thresholds, anchor_size : those used for drawing conditions, so that exactly the possible statements are counted
         """
         boxes = [(room, scene.arrays(room.room_id)) for room in scene.rooms]
-        return cls(_of_rooms(layout_of(scene.scene_id), boxes, thresholds, anchor_size))
+        return cls(_of_rooms(scene.scene_id, boxes, thresholds, anchor_size))
 
     @classmethod
     def of_tables(cls, rooms: pa.Table, objects: pa.Table, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
@@ -134,9 +139,7 @@ class LabelPriors:
         `of_scene`.
         """
         scenes = _boxes(rooms, objects)
-        return cls(
-            tuple(part for name, boxes in scenes for part in _of_rooms(layout_of(name), boxes, thresholds, anchor_size))
-        )
+        return cls(tuple(part for name, boxes in scenes for part in _of_rooms(name, boxes, thresholds, anchor_size)))
 
     @classmethod
     def merged(cls, parts: Iterable[LabelPriors]) -> LabelPriors:
@@ -163,9 +166,21 @@ class LabelPriors:
         """Return the counts from a table of schema `PRIORS`."""
         return cls((table,))
 
-    def bits(self, scene: Scene, plausible_share: float) -> PriorBits:
-        """Return the part of the priors that `scene` reads. A label is plausible in a room type if at least the share
-        `plausible_share` of the rooms of this type have an object with this label.
+    def bits(
+        self,
+        scene: Scene,
+        plausible_share: float,
+        predicates: PredicateWeights = DEFAULT_WEIGHTS,
+        directions: str = "compass",
+    ) -> PriorBits:
+        """Return the part of the priors that `scene` reads.
+
+        Parameters
+        ----------
+        plausible_share : a label is plausible in a room type if at least this share of the rooms of the type have an
+            object with the label
+        predicates, directions : the weights of the predicates with which conditions are drawn, and the directions that
+            texts may use; both matter only for stagings of a layout
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
@@ -199,32 +214,45 @@ class LabelPriors:
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
             counts=counts,
             staged=staged,
-            label_weights=self._label_weights(seen, types, layout, staged),
+            label_weights=self._label_weights(seen, set(types) - staged),
+            even=self._even(scene, counts, staged, predicates, directions) if staged else {},
         )
 
-    def _label_weights(
-        self, labels: Sequence[str], types: Sequence[str], layout: str, staged: frozenset[str]
-    ) -> dict[LabelForm, tuple[float, float]]:
+    def _label_weights(self, labels: Sequence[str], types: Collection[str]) -> dict[LabelForm, tuple[float, float]]:
         """Return the weights of a scene's labels; see `PriorBits`. They come from counts of statements with any anchor,
         even anchors that the scene lacks.
         """
-        columns = {name: self._counts[name] for name in ("layout", "room_type", "label", "predicate")}
         read = pc.and_(
-            pc.is_in(columns["room_type"], pa.array(types, pa.string())),
-            pc.is_in(columns["label"], pa.array(labels, pa.string())),
+            pc.is_in(self._counts["room_type"], pa.array(sorted(types), pa.string())),
+            pc.is_in(self._counts["label"], pa.array(labels, pa.string())),
         )
-        own = pc.or_(
-            pc.invert(pc.is_in(columns["room_type"], pa.array(sorted(staged), pa.string()))),
-            pc.equal(columns["layout"], layout),
+        return label_weights(self._counts.filter(pc.and_(read, pc.not_equal(self._counts["predicate"], ""))))
+
+    def _even(
+        self,
+        scene: Scene,
+        statements: Container[Statement],
+        staged: frozenset[str],
+        predicates: PredicateWeights,
+        directions: str,
+    ) -> dict[Statement, float]:
+        """Return the factors of `statements`; see `PriorBits`. They come from all statements about all stagings of the
+        scene's layout.
+        """
+        asked = sorted(asked_in(scene.family) & sayable(directions))
+        read = pc.and_(
+            pc.equal(self._counts["layout"], layout_of(scene.scene_id)),
+            pc.is_in(self._counts["room_type"], pa.array(sorted(staged), pa.string())),
         )
-        related = pc.not_equal(columns["predicate"], "")
-        return label_weights(self._counts.filter(pc.and_(pc.and_(read, own), related)), staged)
+        rows = self._counts.filter(pc.and_(read, pc.is_in(self._counts["predicate"], pa.array(asked, pa.string()))))
+        weights = {group: getattr(predicates, group) for group in PREDICATE_GROUPS}
+        return {key: factor for key, factor in even_factors(rows, weights).items() if key in statements}
 
 
 def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
-    """Return the counts of each statement, summed over layouts."""
+    """Return the counts of each statement, summed over layouts and stagings."""
     found: dict[Statement, tuple[int, int]] = {}
-    for _, t, label, predicate, anchor, definite, n, m in zip(*rows.to_pydict().values(), strict=True):
+    for _, _, t, label, predicate, anchor, definite, n, m in zip(*rows.to_pydict().values(), strict=True):
         key = (t, label, predicate, anchor, definite)
         if key in found:
             true, false = found[key]
@@ -240,18 +268,18 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
 
 
 def _of_rooms(
-    layout: str, boxes: Sequence[tuple[Room, RoomArrays]], thresholds: Thresholds, anchor_size: float
+    scene_id: str, boxes: Sequence[tuple[Room, RoomArrays]], thresholds: Thresholds, anchor_size: float
 ) -> tuple[pa.Table, ...]:
     """Return the counts of each room of one scene."""
     labels = [_seen(arrays) for _, arrays in boxes]
     return tuple(
-        _of_room(layout, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size)
+        _of_room(scene_id, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size)
         for k, (room, arrays) in enumerate(boxes)
     )
 
 
 def _of_room(
-    layout: str, room: Room, arrays: RoomArrays, elsewhere: set[str], thresholds: Thresholds, anchor_size: float
+    scene_id: str, room: Room, arrays: RoomArrays, elsewhere: set[str], thresholds: Thresholds, anchor_size: float
 ) -> pa.Table:
     here, possible = _seen(arrays), set(arrays.labels)
     absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
@@ -269,7 +297,8 @@ def _of_room(
             true, false = truths.true[rows, columns], truths.false[rows, columns]
             parts.append(_rows(labels, truths.predicate, anchors, truths.definite[rows], true, false))
     joined = pa.concat_tables(parts)
-    for at, value in enumerate((layout, room.label)):
+    layout = layout_of(scene_id)
+    for at, value in enumerate((layout, scene_id if layout else "", room.label)):
         joined = joined.set_column(at, PRIORS.field(at), pa.repeat(value, joined.num_rows))
     return joined
 
@@ -280,16 +309,16 @@ def _seen(arrays: RoomArrays) -> set[str]:
 
 
 def _rows(labels: Any, predicate: str, anchors: Any, definite: Any, true: Any, false: Any) -> pa.Table:
-    """Return rows of the counts `true` and `false`, with empty layout and room type. An argument that is a single value
-    fills its whole column.
+    """Return rows of the counts `true` and `false`, with empty layout, staging and room type. An argument that is a
+    single value fills its whole column.
     """
     n = len(labels)
 
     def column(values: Any, kind: pa.DataType) -> pa.Array:
         return pa.repeat(pa.scalar(values, kind), n) if isinstance(values, str | int) else pa.array(values).cast(kind)
 
-    kinds = [pa.string()] * 5 + [pa.bool_()] + [pa.int64()] * 2
-    values = ["", "", labels, predicate, anchors, definite, true, false]
+    kinds = [pa.string()] * 6 + [pa.bool_()] + [pa.int64()] * 2
+    values = ["", "", "", labels, predicate, anchors, definite, true, false]
     columns = [column(value, kind) for value, kind in zip(values, kinds, strict=True)]
     return pa.table(dict(zip(PRIORS.names, columns, strict=True)), schema=PRIORS)
 

@@ -101,7 +101,13 @@ class ProgramStage(Stage):
         return dict(self._bits(scene_of(unit, upstream), shared).document())
 
     def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
+<<<<<<< HEAD
         return bits_of(scene, shared["priors"], self.sampling.plausible_share)
+=======
+        return LabelPriors.from_table(shared["priors"]).bits(
+            scene, self.sampling.plausible_share, self.sampling.predicates, self.instructions.directions
+        )
+>>>>>>> 3bbbc88 (Statements about stagings of a layout are drawn as often true as false: expected draws are balanced over all stagings)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)

@@ -128,6 +128,10 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
         assert found.staged == set(rooms)
         assert {found.evidence(room) for room in rooms} == {STAGINGS}
         assert found.document()["staged"] == sorted(rooms)
+        assert found.even
+        assert found.even == alone.bits(scene, 0.05).even
+        assert found.even.keys() <= found.counts.keys()
+        assert not found.label_weights, "each statement is balanced by itself"
         own = alone.bits(scene, 0.05).counts
         assert {key: seen for key, seen in found.counts.items() if seen[0] or key[2]} == {
             key: seen for key, seen in own.items() if seen[0] or key[2]
@@ -141,6 +145,7 @@ def test_a_staging_reads_the_counts_of_its_layout(make_scene, rooms: tuple[str, 
     for scene in others:
         # Too few stagings, or none at all.
         assert priors.bits(scene, 0.05) == pooled.bits(scene, 0.05)
+        assert not priors.bits(scene, 0.05).even
         assert {priors.bits(scene, 0.05).evidence(room) for room in rooms} == {EVIDENCE}
         assert "staged" not in priors.bits(scene, 0.05).document()
 
