@@ -27,6 +27,7 @@ from schemas.config import (
     InstructionCell,
     InstructionsConfig,
     LimitsConfig,
+    SamplingConfig,
     Section,
     WordingConfig,
 )
@@ -173,11 +174,13 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
     return _walkables.get((scene, unit, tables["navmeshes"], max_climb), make)
 
 
-def bits_of(scene: Scene, priors: pa.Table, plausible_share: float) -> PriorBits:
+def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions: str) -> PriorBits:
     """Return the bits of the priors that a scene reads: the stage's key needs them, and then the stage itself."""
-    return _bits.get(
-        (scene, priors, plausible_share), lambda: LabelPriors.from_table(priors).bits(scene, plausible_share)
-    )
+
+    def read() -> PriorBits:
+        return LabelPriors.from_table(priors).bits(scene, sampling.plausible_share, sampling.predicates, directions)
+
+    return _bits.get((scene, priors, sampling, directions), read)
 
 
 def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:

@@ -47,7 +47,7 @@ class PriorsAggregate(Aggregate):
     thresholds: Thresholds
     anchor_size: float
     name: str = "priors"
-    version: int = 9
+    version: int = 10
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 
@@ -74,7 +74,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 38
+    version: int = 39
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
@@ -101,13 +101,7 @@ class ProgramStage(Stage):
         return dict(self._bits(scene_of(unit, upstream), shared).document())
 
     def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
-<<<<<<< HEAD
-        return bits_of(scene, shared["priors"], self.sampling.plausible_share)
-=======
-        return LabelPriors.from_table(shared["priors"]).bits(
-            scene, self.sampling.plausible_share, self.sampling.predicates, self.instructions.directions
-        )
->>>>>>> 3bbbc88 (Statements about stagings of a layout are drawn as often true as false: expected draws are balanced over all stagings)
+        return bits_of(scene, shared["priors"], self.sampling, self.instructions.directions)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
