@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.formats.glb_material import MaterialReader
-from condvln.formats.glb_part import Accessor, GlbPart, Primitive
-from condvln.scene.boxes import placement, transform_points
-from condvln.scene.quaternions import to_matrix
+from condvln.formats.glb_part import GlbPart, Primitive
+from condvln.scene.boxes import transform_points
+from condvln.scene.gltf_arrays import attribute_rows, coordinates_of, primitive_triangles, world_transforms
 from condvln.sensors.kernels.shading import CLAMP
 from condvln.sensors.surfaces import Material, SurfaceBuilder
 from condvln.sensors.textures import KTX2, allowed_edge, is_readable, read_picture
 
 __all__ = ["DrawnFile", "drawn_file"]
 
-_NUMBERS: Final = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_STRIP: Final = 5
 _WRAPS: Final = {10497: 0, 33071: 1, 33648: 2}
 """glTF's codes of the wrap modes repeat, clamp to edge and mirrored repeat, in the order of `Material.wrap`."""
 _IMAGE_EXTENSIONS: Final = ("EXT_texture_webp", "KHR_texture_basisu")
-_TRANSFORM: Final = "KHR_texture_transform"
 
 F64 = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -59,7 +54,7 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
     """Return the triangles of a file, and add the file's materials and textures to the builder."""
     painter = _Painter(part.look, builder)
     meshes = [[_faces(part, primitive, painter) for primitive in primitives] for primitives in part.meshes]
-    world = _world(part)
+    world = world_transforms(part)
     found: list[tuple[F64, Floats, Bytes, NDArray[np.int32]]] = []
     for number, node in enumerate(part.nodes):
         for corners, coordinates, colours, material in meshes[node.mesh] if node.mesh is not None else ():
@@ -78,65 +73,26 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
     )
 
 
-def _world(part: GlbPart) -> list[F64]:
-    """Return for each node the (4, 4) transform from its frame to the root's. In `part.nodes`, parents come before
-    their children.
-    """
-    world = [_local(node.transform) for node in part.nodes]
-    for number, node in enumerate(part.nodes):
-        for child in node.children:
-            world[child] = world[number] @ world[child]
-    return world
-
-
-def _local(transform: dict[str, list[float]]) -> F64:
-    if "matrix" in transform:
-        matrix: F64 = np.array(transform["matrix"], np.float64).reshape(4, 4).T
-        return matrix
-    rotation = to_matrix(transform["rotation"]) if "rotation" in transform else None
-    return placement(rotation, transform.get("translation"), transform.get("scale"))
-
-
 def _faces(part: GlbPart, own: Primitive, painter: _Painter) -> tuple[F64, Floats, Bytes, int]:
     """Return corners (n, 3, 3), texture coordinates (n, 3, 2), colours (n, 3, 3) and the material index of a
     primitive.
     """
 
-    def vertices(name: str) -> NDArray[Any] | None:
-        at = own.attributes.get(name)
-        return None if at is None else _numbers(part.accessors[at])
-
-    points = np.asarray(vertices("POSITION"), np.float64)
-    order = np.arange(len(points)) if own.indices is None else _numbers(part.accessors[own.indices])[:, 0]
-    triangles = _strip(order) if own.mode == _STRIP else order[: len(order) // 3 * 3].reshape(-1, 3)
-    triangles = triangles.astype(np.int64)
+    points = np.asarray(attribute_rows(part, own, "POSITION"), np.float64)
+    triangles = primitive_triangles(part, own)
     material, wrap, name, moved = painter.material(own.material)
-    places = vertices(name)
+    places = attribute_rows(part, own, name)
     coordinates = np.zeros((len(points), 2)) if places is None else np.asarray(places, np.float64)
     coordinates = coordinates @ moved[:2, :2].T + moved[:2, 2]
     places_of = np.nan_to_num(coordinates[triangles], nan=0.0, posinf=0.0, neginf=0.0)
     # Whole repeats are subtracted, two at a time because of mirrored wrapping, so that float32 keeps its precision.
     endless = np.array(wrap) != CLAMP
     places_of -= np.where(endless, 2 * np.floor(places_of.min(axis=1, keepdims=True) / 2), 0.0)
-    tints = vertices("COLOR_0")
+    tints = attribute_rows(part, own, "COLOR_0")
     colours = np.full((len(points), 3), 255, np.uint8)
     if tints is not None:
         colours = np.round(np.clip(np.nan_to_num(tints[:, :3]), 0, 1) * 255).astype(np.uint8)
     return points[triangles], places_of.astype(np.float32), colours[triangles], material
-
-
-def _strip(order: NDArray[Any]) -> NDArray[Any]:
-    """Return the triangles of a strip; the winding of every second one is reversed."""
-    rows = np.column_stack([order[:-2], order[1:-1], order[2:]])
-    rows[1::2] = rows[1::2][:, [1, 0, 2]]
-    return rows
-
-
-def _numbers(own: Accessor) -> NDArray[Any]:
-    """Return the numbers of an accessor as (count, width); normalized integers are scaled to [0, 1]."""
-    dtype = np.dtype(_NUMBERS[own.component])
-    rows = np.frombuffer(own.data, dtype.newbyteorder("<")).reshape(own.count, _WIDTHS[own.kind])
-    return rows / (256**dtype.itemsize - 1) if own.normalized else rows
 
 
 class _Painter:
@@ -161,8 +117,7 @@ class _Painter:
         number = self._builder.material(Material((red, green, blue), texture, wrap))
         if slot is None:
             return number, wrap, "TEXCOORD_0", np.eye(3)
-        moved = slot.get("extensions", {}).get(_TRANSFORM, {})
-        return number, wrap, f"TEXCOORD_{moved.get('texCoord', slot.get('texCoord', 0))}", _moved(moved)
+        return number, wrap, *coordinates_of(slot)
 
     def _texture(self, index: int) -> tuple[int, tuple[int, int]]:
         assert self._look is not None
@@ -183,16 +138,3 @@ class _Painter:
             self.unread += levels is None
             self._textures[known[0]] = -1 if levels is None else self._builder.texture(levels)
         return self._textures[known[0]], wrap
-
-
-def _moved(transform: dict[str, Any]) -> F64:
-    """Return the (3, 3) matrix of KHR_texture_transform: scale, then rotate counter-clockwise in the image, then
-    translate.
-    """
-    angle = float(transform.get("rotation", 0.0))
-    cosine, sine = math.cos(angle), math.sin(angle)
-    across, down = transform.get("scale", (1.0, 1.0))
-    matrix = np.eye(3)
-    matrix[:2, :2] = np.array([[cosine, sine], [-sine, cosine]]) @ np.diag([across, down])
-    matrix[:2, 2] = transform.get("offset", (0.0, 0.0))
-    return matrix
