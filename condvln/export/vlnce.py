@@ -48,7 +48,8 @@ SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb"} |
 def scene_file(family: str, scene: str, patterns: Mapping[str, str] = SCENE_PATTERNS) -> str:
     """Return ``scene_id`` of a VLN-CE episode: the path of the scene's mesh below the folder of scene datasets."""
     pattern = patterns.get(family) or patterns.get("") or SCENE_PATTERNS[""]
-    return pattern.format(family=family, scene=scene, name=posixpath.basename(scene))
+    name = posixpath.basename(scene)
+    return pattern.format(family=family, scene=scene, name=name, scan=name.partition("-")[2] or name)
 
 
 def gold(row: Row) -> Row:

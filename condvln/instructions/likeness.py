@@ -54,7 +54,7 @@ __all__ = [
 
 Bools = NDArray[np.bool_]
 
-SCANS: Final = ("gibson", "mp3d")
+SCANS: Final = ("gibson", "hm3d", "mp3d")
 """Families whose boxes were drawn into a scan, where one object may have two boxes."""
 
 

@@ -40,6 +40,7 @@ SOURCE_OF_FAMILY: Final[Mapping[str, str]] = {
     "ai2thor-hab": "ai2thor",
     "mp3d": "mp3d",
     "gibson": "gibson",
+    "hm3d": "hm3d",
     "hssd": "hssd",
 }
 """The list of raw labels of each family. A family without one is read by the canonical words alone."""

@@ -14,6 +14,7 @@ from condvln.samples.apartment import make_layout
 from condvln.samples.floor_mesh import NavmeshEngine
 from condvln.samples.floor_plan import MAX_ROOMS, MIN_ROOMS
 from condvln.samples.gibson import gibson_files
+from condvln.samples.hm3d import hm3d_files
 from condvln.samples.hssd import hssd_files
 from condvln.samples.layout import Layout
 from condvln.samples.mp3d import mp3d_files
@@ -37,6 +38,7 @@ Writer = Callable[[Mapping[str, Layout]], Iterator[tuple[str, bytes]]]
 
 FAMILIES: Final[dict[str, Writer]] = {
     "gibson": gibson_files,
+    "hm3d": hm3d_files,
     "hssd": hssd_files,
     "ithor": ithor_files,
     "mp3d": mp3d_files,

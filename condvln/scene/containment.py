@@ -29,7 +29,7 @@ __all__ = ["SCANNED", "is_shut", "stated_holders", "with_containment"]
 
 F64 = NDArray[np.float64]
 
-SCANNED: Final = frozenset({"mp3d", "gibson"})
+SCANNED: Final = frozenset({"mp3d", "gibson", "hm3d"})
 """Families annotated on scans of real buildings: what the scanner saw is not hidden."""
 
 WITHOUT_TOP: Final = frozenset({"drawer"})

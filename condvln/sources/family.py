@@ -38,7 +38,7 @@ class Family:
         a single file, and its users accept terms with its owner
     official_split : returns a scene's group from the authors' lists; None if there are none
     scene_file : ``scene_id`` of a VLN-CE episode below the folder of scene datasets; ``{scene}`` is the scene's id,
-        ``{name}`` the id without its folder
+        ``{name}`` the id without its folder, ``{scan}`` the part of the name after its first hyphen
     always_placed : every scene gets a navmesh, built from its walls or its reachable positions
     costs_like : the family whose measured costs are used for first estimates
     licensed : the terms forbid to pass on images of its scenes; each user gets a copy from the owner
@@ -105,6 +105,18 @@ def _replicacad_split(scene_id: str) -> SplitGroup | None:
     return "val_unseen" if layout == "1" and staging < _FIRST_TEST_STAGING else "test"
 
 
+_HM3D: Final = re.compile(r"(\d{5})-\w+$")
+
+
+def _hm3d_split(scene_id: str) -> SplitGroup | None:
+    # Scans 0 to 799 are train, 800 to 899 val, 900 to 999 test; the folders minival and example hold scans of val.
+    found = _HM3D.match(posixpath.basename(scene_id))
+    if found is None:
+        return None
+    number = int(found[1])
+    return "train" if number < 800 else "val_unseen" if number < 900 else "test"
+
+
 FAMILIES: Final[dict[str, Family]] = {
     "gibson": Family(
         "Gibson and 3D Scene Graph",
@@ -113,6 +125,16 @@ FAMILIES: Final[dict[str, Family]] = {
         official_split=partial(_listed, "gibson"),
         # The verified and the automated annotation of a building refer to the same mesh.
         scene_file="{family}/{name}/{name}.glb",
+        licensed=True,
+    ),
+    "hm3d": Family(
+        "Habitat-Matterport 3D with semantics (HM3DSem)",
+        "Matterport's terms for academic use of model data (non-commercial; each user agrees to them with Matterport)",
+        "Ramakrishnan et al., Habitat-Matterport 3D Dataset (HM3D), NeurIPS Datasets and Benchmarks 2021; Yadav et "
+        "al., Habitat-Matterport 3D Semantics Dataset, CVPR 2023",
+        official_split=_hm3d_split,
+        scene_file="{family}/{scene}/{scan}.basis.glb",
+        costs_like="gibson",
         licensed=True,
     ),
     "hssd": Family(

@@ -5,8 +5,7 @@ structure.
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import ClassVar, Final
@@ -16,7 +15,6 @@ import shapely
 
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.labels import vocabulary
-from condvln.labels.contents import types_by_contents
 from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
 from condvln.scene.frames import Z_UP_TO_HABITAT
@@ -25,7 +23,7 @@ from condvln.scene.limits import check_limits
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.mesh_geometry import scan_geometry
-from condvln.sources.regions import in_rooms, side_regions
+from condvln.sources.regions import in_rooms, side_regions, typed_by_contents
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
 from condvln.sources.slices import joined_slices
 from condvln.sources.source import UNKNOWN_LABEL
@@ -86,7 +84,7 @@ class Mp3dSource(SceneSource):
             if drawn:
                 rooms = drawn
                 items, warnings = in_rooms(items, drawn)
-        rooms = _typed(rooms, items)
+        rooms = typed_by_contents(rooms, items)
         stage, navmeshes = self._beside(scene_id, path, ledger)
         return Scene(
             family=self.family,
@@ -193,15 +191,6 @@ def _room(region: HouseRegion, family: str, where: str) -> Room:
         annotation="dataset",
         complete=True,
     )
-
-
-def _typed(rooms: Sequence[Room], items: Iterable[SceneObject]) -> tuple[Room, ...]:
-    """Return the rooms; those without a type of their own have the type that shows in what they hold."""
-    held: dict[str, list[str]] = {}
-    for item in items:
-        held.setdefault(item.room_id, []).append(item.label)
-    types = types_by_contents({room.room_id: room.label for room in rooms}, held, vocabulary)
-    return tuple(replace(room, label=types[room.room_id]) for room in rooms)
 
 
 def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[list[SceneObject], list[SceneWarning]]:

@@ -15,10 +15,21 @@ from numpy.typing import NDArray
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.json_document import JsonNode, parse_json
 from condvln.labels import vocabulary
+from condvln.labels.contents import types_by_contents
 from condvln.scene import Room, SceneObject, SceneWarning, round_mm
 from condvln.sources.input_ledger import InputLedger
 
-__all__ = ["LEVEL_STEP", "NEAREST_REGION", "RegionIndex", "check_polygon", "in_rooms", "read_regions", "side_regions"]
+__all__ = [
+    "LEVEL_STEP",
+    "NEAREST_REGION",
+    "RegionIndex",
+    "check_polygon",
+    "in_rooms",
+    "levelled",
+    "read_regions",
+    "side_regions",
+    "typed_by_contents",
+]
 
 NEAREST_REGION: Final = 0.25
 """Metres. An object whose centre is outside all regions by at most this (in a wall, on a sill) gets the nearest region,
@@ -69,7 +80,7 @@ def read_regions(annotations: JsonNode, annotation: Literal["dataset", "user"], 
             annotation=annotation,
             complete=True,
         )
-    return _levelled(tuple(rooms[name] for name in sorted(rooms)))
+    return levelled(tuple(rooms[name] for name in sorted(rooms)))
 
 
 @dataclass(frozen=True)
@@ -182,7 +193,7 @@ def check_polygon(corners: NDArray[np.float64], node: JsonNode) -> NDArray[np.fl
     return corners
 
 
-def _levelled(rooms: tuple[Room, ...]) -> tuple[Room, ...]:
+def levelled(rooms: tuple[Room, ...]) -> tuple[Room, ...]:
     """Assign levels to rooms by ascending floor height. A new level begins where the next floor is at least
     `LEVEL_STEP` higher.
     """
@@ -193,3 +204,12 @@ def _levelled(rooms: tuple[Room, ...]) -> tuple[Room, ...]:
         level += i > 0 and floor - floors[i - 1] >= LEVEL_STEP
         level_of[floor] = level
     return tuple(replace(r, level=level_of[r.floor_y]) for r in rooms)
+
+
+def typed_by_contents(rooms: Sequence[Room], items: Iterable[SceneObject]) -> tuple[Room, ...]:
+    """Return the rooms; those without a type of their own have the type that shows in what they hold."""
+    held: dict[str, list[str]] = {}
+    for item in items:
+        held.setdefault(item.room_id, []).append(item.label)
+    types = types_by_contents({room.room_id: room.label for room in rooms}, held, vocabulary)
+    return tuple(replace(room, label=types[room.room_id]) for room in rooms)

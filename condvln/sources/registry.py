@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from condvln.sources.gibson import GibsonSource
+from condvln.sources.hm3d import Hm3dSource
 from condvln.sources.hssd import HssdSource
 from condvln.sources.ithor import IthorSource
 from condvln.sources.mp3d import Mp3dSource
@@ -25,6 +26,7 @@ __all__ = ["READERS", "open_source"]
 
 READERS: Final[dict[str, type[SceneSource]]] = {
     "gibson": GibsonSource,
+    "hm3d": Hm3dSource,
     "hssd": HssdSource,
     "ithor": IthorSource,
     "mp3d": Mp3dSource,

@@ -26,7 +26,7 @@ from schemas.config.constants import (
 __all__ = ["said_of", "shut_away"]
 
 _MM: Final = 1000
-FROM_SCANS: Final = ("gibson", "mp3d")
+FROM_SCANS: Final = ("gibson", "hm3d", "mp3d")
 """Families whose scenes are scans: what the scanner saw is not hidden."""
 IN_FURNITURE: Final = "drawer"
 """Labels of objects whose top lies inside the furniture they belong to, so that nothing rests on it."""

@@ -15,6 +15,8 @@ __all__ = ["check_record"]
 
 MISSING: Final = "missing"
 """Marks a missing key, as opposed to a null value."""
+_BASIS: Final = ".basis"
+"""End of the names of HM3D's meshes with compressed textures, before the last suffix."""
 HEADING: Final = 1e-3
 """Tolerance in degrees between a stated heading and its rotation."""
 
@@ -67,7 +69,10 @@ def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certifi
     for name, manifest, own in wrong:
         certificate.holds("record", False, own, manifest, name)
     scene = PurePosixPath(str(record.get("scene_id", "")))
-    certificate.same("record", scene.stem, PurePosixPath(row.scene_id).name, "scene_id")
+    name = PurePosixPath(row.scene_id).name
+    # HM3D numbers the folder of a scan, and its file has the scan's name alone.
+    own = scene.parent.name if scene.stem == f"{name.partition('-')[2]}{_BASIS}" else scene.stem
+    certificate.same("record", own, name, "scene_id")
     yaw = yaw_of(row.start_rotation)
     if yaw is not None:
         heading, stated = heading_of(yaw), said.get("start_heading_degrees")

@@ -28,6 +28,7 @@ SOURCE_OF_FAMILY: Final = {
     "ai2thor-hab": "ai2thor",
     "mp3d": "mp3d",
     "gibson": "gibson",
+    "hm3d": "hm3d",
     "hssd": "hssd",
 }
 """The list of raw labels used by a family's scenes."""

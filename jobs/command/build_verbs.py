@@ -32,7 +32,7 @@ def samples(
     family: Annotated[
         str,
         typer.Option(
-            help="native format of the scenes: gibson, hssd, ithor, mp3d, procthor, replicacad, robothor or "
+            help="native format of the scenes: gibson, hm3d, hssd, ithor, mp3d, procthor, replicacad, robothor or "
             "ai2thor-hab; the last is ProcTHOR in Habitat's format, with rooms from the JSON of its houses"
         ),
     ] = "replicacad",

@@ -29,7 +29,7 @@ __all__ = [
     "SplitsConfig",
 ]
 
-Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson", "hssd"]
+Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson", "hssd", "hm3d"]
 
 
 MOVED: Final = {

@@ -72,7 +72,7 @@ def test_habitats_procthor_goes_the_whole_way(tmp_path: Path) -> None:
 
 
 def test_what_it_refuses(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["samples", str(tmp_path / "x"), "--family", "hm3d"])
+    result = CliRunner().invoke(app, ["samples", str(tmp_path / "x"), "--family", "scannet"])
     assert isinstance(result.exception, UsageError)
     assert f"Choose one of: {', '.join(sorted(FORMS))}" in str(result.exception)
     assert not (tmp_path / "x").exists()

@@ -69,6 +69,7 @@ def test_scene_files_by_family() -> None:
         ("procthor", "10k/train-7", "procthor/10k/train-7/train-7.glb"),
         ("procthor", "ProcTHOR-Train-7", "procthor/ProcTHOR-Train-7/ProcTHOR-Train-7.glb"),
         ("ithor", "FloorPlan207", "ithor/FloorPlan207/FloorPlan207.glb"),
+        ("hm3d", "val/00800-TEEsavR23oF", "hm3d/val/00800-TEEsavR23oF/TEEsavR23oF.basis.glb"),
         ("robothor", "FloorPlan_Val1_1", "robothor/FloorPlan_Val1_1/FloorPlan_Val1_1.glb"),
     ],
 )
