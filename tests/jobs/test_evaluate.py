@@ -123,6 +123,11 @@ def test_others_results_stand_beside_predictions(
     branches = {row["agent"]: row for row in tables["branches"]["rows"]}
     assert branches["theirs"]["missing"]["mean"] == pytest.approx(1 / len(tasks))
     assert branches["theirs"]["leaf_correct"]["n"] == 0
+    # Their files have no BSA: that is undefined beside an agent that has it, neither 0 nor 100.
+    for name in ("bsa", "csr", "bsa_all", "csr_all"):
+        assert main["theirs"][name]["n"] == main["open_nav"][name]["n"] == 0, name
+        assert main["theirs"][name]["mean"] is None, name
+    assert main["oracle"]["bsa_all"]["mean"] == 1
     assert {name.rsplit("_", 1)[1] for name in tables if name.startswith("leaves_")} == {"oracle"}
 
 

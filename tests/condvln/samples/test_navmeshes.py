@@ -13,6 +13,7 @@ from condvln.navigation.recast import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import FAMILIES, Layout, make_layouts, make_samples
 from condvln.samples.free_floor import free_floor
+from condvln.samples.hm3d import SPLITS
 from condvln.samples.layout import WALL_THICKNESS, Room
 from condvln.samples.thor_metadata import FLOOR_PLANS, ROBOTHOR_SCENES
 from condvln.sources.registry import open_source
@@ -41,6 +42,9 @@ def connected_floors(family: str, layouts: dict[str, Layout]) -> dict[str, tuple
         }
     names = {
         "gibson": [f"verified/{name}" for name in layouts],
+        "hm3d": [
+            f"{split}/{first + k:05d}-{name}" for k, name in enumerate(layouts) for split, first in [SPLITS[k % 3]]
+        ],
         "procthor": [f"houses-{number}" for number in range(len(layouts))],
         "robothor": list(ROBOTHOR_SCENES[: len(layouts)]),
     }
