@@ -217,6 +217,8 @@ class Language:
         """Return a phrase with its noun filled in: "there's {a}" becomes "there's a lamp"."""
         if "{" in phrase:
             phrase = phrase.replace("{a}", self.articles["indefinite"][noun.kind])
+            if "{" in phrase:
+                phrase = phrase.replace("{ningun}", self.articles["no"][noun.kind])
         return f"{phrase} {noun.text}"
 
     def that(self, noun: Noun) -> str:
@@ -237,8 +239,8 @@ class Language:
         """Return an answer phrase with the pronoun of `noun` filled in: "{lo} hay" becomes "la hay"."""
         if "{" not in phrase:
             return phrase
-        pronoun, none = (self.articles[name][noun.kind] for name in ("pronoun", "none"))
-        return phrase.replace("{lo}", pronoun).replace("{ninguno}", none)
+        pronoun, none, some = (self.articles[name][noun.kind] for name in ("pronoun", "none", "some"))
+        return phrase.replace("{lo}", pronoun).replace("{ninguno}", none).replace("{alguno}", some)
 
     def contracted(self, text: str) -> str:
         """Return `text` with prepositions and articles contracted where the language contracts them (Spanish: "de el"

@@ -31,7 +31,14 @@ ANSWERS: Final = ("yes_one", "yes_it", "yes_any", "no_one", "no_it", "no_any")
 _RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no", "lacks": "no"}
 """Grammar rules of slots that have another name; an answer may be given in full."""
 
-_ARTICLES: Final = (("a", "indefinite"), ("lo", "pronoun"), ("cercano", "nearest"), ("ninguno", "none"))
+_ARTICLES: Final = (
+    ("a", "indefinite"),
+    ("lo", "pronoun"),
+    ("cercano", "nearest"),
+    ("ninguno", "none"),
+    ("alguno", "some"),
+    ("ningun", "no"),
+)
 """Words of phrases that agree with a noun, and their lists of forms."""
 
 _TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")

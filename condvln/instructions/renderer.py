@@ -258,6 +258,8 @@ class Renderer:
         """
         gapped = joined and not condition.definite and self._existential in ((True,) if asserted else (True, False))
         beside = joined and self._clause_room == condition.room and bool(self.voice.slots["same_place"])
+        # "Si en la cocina hay un plato y en el dormitorio hay una cama": the room comes first.
+        gapped = gapped and (beside or not self.words.room_first or self._elided(condition.room))
         self._existential, self._clause_room = None if condition.definite else asserted, condition.room
         if condition.definite:
             verb = self._phrase("is" if asserted else "is_not")
@@ -282,10 +284,10 @@ class Renderer:
 
     def _there_is(self, condition: Condition, *, asserted: bool, gapped: bool, kind: str = "") -> str:
         """Return "there's a lamp", or "a lamp" (`gapped`) behind another clause with "there's"."""
-        slot = ("also", "nor") if self.voice.slots["also"] else None
-        if gapped and slot is not None:
+        slot = "also" if asserted else "nor"
+        if gapped and self.voice.slots[slot]:
             self._is_gapped = True
-            return self._filled(slot[0] if asserted else slot[1], condition)
+            return self._filled(slot, condition)
         return self._filled(f"exists{kind}" if asserted else "absent", condition)
 
     def _again(self, condition: Condition, kind: str, *, joined: bool = False) -> str:

@@ -25,7 +25,14 @@ SO_FAR: Final = "\n"
 """Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
 
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
-_ARTICLES: Final = {"{a}": "indefinite", "{lo}": "pronoun", "{cercano}": "nearest", "{ninguno}": "none"}
+_ARTICLES: Final = {
+    "{a}": "indefinite",
+    "{lo}": "pronoun",
+    "{cercano}": "nearest",
+    "{ninguno}": "none",
+    "{alguno}": "some",
+    "{ningun}": "no",
+}
 
 Match = tuple[str, str, frozenset[str]]
 """A match: the kind of phrase, its value, and the noun classes that its article agrees with."""

@@ -68,7 +68,8 @@ def test_contractions_can_be_undone(words: Language) -> None:
     for phrases in [*words.slots.values(), *words.predicates.values()]:
         for phrase in phrases:
             for noun in words.nouns.values():
-                text = f"{phrase.format(a='', lo='', cercano='', ninguno='')} {words.definite(noun)}"
+                said = phrase.format(a="", lo="", cercano="", ninguno="", alguno="", ningun="")
+                text = f"{said} {words.definite(noun)}"
                 assert words.expanded(words.contracted(text)) == words.expanded(text)
 
 
@@ -112,7 +113,10 @@ def test_agreeing_with_a_denial_is_found() -> None:
     (finding,) = findings(language("es"), "simple", _template({"voices": "brief", "text": text}, "simple"))
     assert "agrees with the denial" in finding.what
     said = _template({"voices": "brief", "text": "Si {-A}, {y}. Si {yes A}, {x}."}, "simple")
-    (finding,) = findings(language("es"), "simple", said)
+    assert not list(findings(language("es"), "simple", said)), "si hay alguna"
+    words = language("es")
+    agreeing = replace(words, slots={**words.slots, "yes_it": ("es así",)})
+    (finding,) = findings(agreeing, "simple", said)
     assert "agrees with the denial" in finding.what
     so = _template({"voices": "brief", "text": "If {-A}, {y}. If so, {x}."}, "simple")
     (finding,) = findings(language("en"), "simple", so)
