@@ -99,6 +99,6 @@ class LookerConfig(Section):
     )
     patience: Share = Field(
         0.7,
-        description="share of the step budget after which the agent answers conditions that are still undecided; half "
-        "of the rest is added if their room has not been found",
+        description="share of the step budget that the agent has at least to decide conditions; of the rest it "
+        "keeps as many steps as the walk to its stops needs, and answers what is undecided by then",
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled, register_warm_up
 
-__all__ = ["chart", "line_is_open", "ways"]
+__all__ = ["chart", "line_is_open", "open_areas", "ways"]
 
 Bools = npt.NDArray[np.bool_]
 F64 = npt.NDArray[np.float64]
@@ -188,6 +188,25 @@ def line_is_open(shut: Bools, a: float, b: float, p: float, q: float, ignored: f
     return True
 
 
+@compiled
+def open_areas(wanted: Bools, shut: Bools, rows: I64, columns: I64, radius: int, rays: int) -> F64:
+    """Return for each of k cells the area, in cells, of the cells in the mask `wanted` that straight lines from the
+    cell reach: up to `radius` cells long, in `rays` directions, as far as the first cell of the mask `shut`.
+    """
+    found = np.zeros(len(rows))
+    for k in range(len(rows)):
+        for ray in range(rays):
+            angle = 2 * np.pi * ray / rays
+            da, db = np.cos(angle), np.sin(angle)
+            for away in range(1, radius + 1):
+                i, j = int(np.floor(rows[k] + 0.5 + da * away)), int(np.floor(columns[k] + 0.5 + db * away))
+                if i < 0 or j < 0 or i >= shut.shape[0] or j >= shut.shape[1] or shut[i, j]:
+                    break
+                if wanted[i, j]:
+                    found[k] += 2 * np.pi * away / rays
+    return found
+
+
 def _warm_up() -> None:
     grid, rays, place = np.zeros((8, 8), bool), np.array([0.5, -0.5]), np.zeros(2)
     flat, near, region = np.ones((2, 2), np.float32), np.ones((8, 8), np.float32), np.zeros((8, 8), np.int16)
@@ -213,6 +232,7 @@ def _warm_up() -> None:
     )
     ways(np.ones((8, 8), np.float32), 0)
     line_is_open(grid, 0.0, 0.0, 3.0, 3.0, 0.0)
+    open_areas(grid, grid, np.zeros(1, np.int64), np.zeros(1, np.int64), 1, 8)
 
 
 register_warm_up("an agent's map", _warm_up)

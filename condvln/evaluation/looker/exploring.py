@@ -7,24 +7,50 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from condvln.evaluation.kernels.floor_grid import open_areas
 from condvln.evaluation.looker.floor_map import CELL, F64, Bools, Ground, Ways
+from condvln.evaluation.looker.memory import Thing
 from condvln.evaluation.looker.referents import Referents
 from condvln.evaluation.looker.steering import HALF_TURN
 from condvln.instructions.text_reading import Phrase
 
 __all__ = ["Explorer", "Here"]
 
+Ints = NDArray[np.intp]
+
 TURNS: Final = 3
 """How often it turns to the same target of exploration before it gives the target up."""
 TURNING: Final = 0.25
 """Length in metres of a path that takes as many steps as a turn by one action."""
-FAITHFUL: Final = 1.0
+FAITHFUL: Final = 2.0
 """Length in metres by which another target must be nearer than the one before."""
+SAME: Final = 1.0
+"""Distance in metres between two targets that count as one."""
 KNOWN_ROOM: Final = 8.0
 """Length in metres by which a frontier in a room that it has looked around in must be nearer than others when it looks
 for another room: what is unseen there is mostly hidden by furniture.
 """
+OUTLOOK: Final = 3.0
+"""Distance in metres up to which it counts the unseen floor that it would see from a frontier."""
+RAYS: Final = 32
+"""Number of directions in which it counts that floor."""
+MUCH: Final = 8.0
+"""Area in square metres of unseen floor beyond which more makes no difference."""
+MUCH_NEAR: Final = 3.0
+"""The same in the rooms that it searches."""
+LEAST_GAIN: Final = 0.1
+"""Least area in square metres of unseen floor for which it goes anywhere."""
+WORTH: Final = 1.0
+"""Length in metres of the detour that a square metre of unseen floor is worth when it looks for another room."""
+SECLUDED: Final = frozenset(("bathroom", "bedroom", "child's room", "closet", "laundry room", "pantry", "storage room",
+                             "toilet room", "utility room"))  # fmt: skip
+"""Rooms through which other kinds of rooms are seldom reached."""
+DETOUR: Final = 6.0
+"""Length in metres of the detour by which it looks elsewhere before it looks for a way on through such a room."""
+ELSEWHERE: Final = 4.0
+"""Length in metres of the detour by which it looks first in rooms of the right kind."""
 AROUND: Final = 4
 """Cells around a target that was given up which are no targets either."""
 
@@ -71,14 +97,11 @@ class Explorer:
 
         around : a position (2,) and a radius, metres; only floor within that radius must have been seen
         """
-        ground, ways = here.ground, here.ways
+        ground = here.ground
         rooms = self._referents.rooms(phrase)
         targets = ground.passable & (ground.frontier | (ground.near > (self._close if close is None else close)))
-        open_to = np.ones_like(targets)
-        for place in self._given_up:
-            a, b = ground.cell(float(place[0]), float(place[1]))
-            beside = slice(max(a - AROUND, 0), a + AROUND + 1), slice(max(b - AROUND, 0), b + AROUND + 1)
-            targets[beside] = open_to[beside] = False
+        open_to = self._open_to(ground)
+        targets &= open_to
         if around is not None:
             rows, columns = np.nonzero(targets)
             far = np.hypot(*(ground.places(rows, columns) - around[0]).T) > around[1]
@@ -86,22 +109,66 @@ class Explorer:
         if rooms is None:
             return self._nearest(here, targets)
         inside = np.isin(ground.region, list(rooms))
-        found = self._nearest(here, targets & inside)
-        if found is not None or around is not None or (rooms & self.been and self._referents.room_is_sure(phrase)):
-            return found
-        entrance = self._nearest(here, inside & ground.passable & open_to)
-        if entrance is not None and not rooms & self.been:
-            return entrance
-        rows, columns = np.nonzero(ground.frontier & targets & np.isfinite(ways.distance))
+        sure = self._referents.room_is_sure(phrase)
+        if sure or around is not None:
+            found = self._nearest(here, targets & inside)
+            if found is not None or around is not None or rooms & self.been:
+                return found
+        rows, columns = np.nonzero(inside & ground.passable & open_to & np.isfinite(here.ways.distance))
+        if len(rows) and not rooms & self.been:
+            return self._least_effort(here, rows, columns)
+        beyond = [thing.middle[[0, 2]] for thing in self._referents.memory if thing.room in rooms]
+        # The room was seen, and no way into it.
+        towards = np.mean(beyond, axis=0) if beyond and not rooms & self.been else None
+        return self._another_room(here, targets & (inside | ground.frontier), phrase, rooms, towards)
+
+    def nearer(self, thing: Thing, here: Here) -> F64 | None:
+        """Return the position that can be reached and is the nearest to an object, no floor beside which is known; None
+        if the agent is as near already.
+        """
+        ground, middle = here.ground, thing.middle[[0, 2]]
+        rows, columns = np.nonzero(ground.passable & np.isfinite(here.ways.distance) & self._open_to(ground))
         if not len(rows):
             return None
-        places, cost = ground.places(rows, columns), CELL * ways.distance[rows, columns]
-        cost = cost + KNOWN_ROOM * np.isin(ground.region[rows, columns], list(self.been))
-        beyond = [thing.middle[[0, 2]] for thing in self._referents.memory if thing.room in rooms]
-        if beyond and not rooms & self.been:
-            # The room was seen, and no way into it.
-            cost = cost + np.hypot(*(places - np.mean(beyond, axis=0)).T)
-        return np.asarray(places[int(np.argmin(cost))], np.float64)
+        places = ground.places(rows, columns)
+        away = np.hypot(*(places - middle).T)
+        best = int(np.argmin(away))
+        return places[best] if away[best] < np.hypot(*(here.place - middle)) - SAME / 2 else None
+
+    def _open_to(self, ground: Ground) -> Bools:
+        """Return the cells that are not near a position that was given up."""
+        found = np.ones_like(ground.passable)
+        for place in self._given_up:
+            a, b = ground.cell(float(place[0]), float(place[1]))
+            found[max(a - AROUND, 0) : a + AROUND + 1, max(b - AROUND, 0) : b + AROUND + 1] = False
+        return found
+
+    def _another_room(
+        self, here: Here, targets: Bools, phrase: Phrase, rooms: set[int], towards: F64 | None
+    ) -> F64 | None:
+        """Return the target from which the room of `phrase`, which is not found for certain yet, is found at the least
+        expected effort; None if no target can be reached.
+
+        rooms : rooms that may be meant; towards (2,) : where such a room was seen, if it can't be entered
+        """
+        ground = here.ground
+        rows, columns = np.nonzero(targets & np.isfinite(here.ways.distance))
+        if not len(rows):
+            return None
+        gain = self._gain(ground, targets | ground.unseen, rows, columns)
+        worth = gain >= LEAST_GAIN
+        if worth.any():
+            rows, columns, gain = rows[worth], columns[worth], gain[worth]
+        region = ground.region[rows, columns]
+        extra = WORTH * np.maximum(MUCH - gain, 0.0) + KNOWN_ROOM * np.isin(region, list(self.been))
+        if phrase.room is not None and phrase.room.label not in SECLUDED:
+            secluded = [number for number, label in self._referents.memory.rooms.items() if label in SECLUDED]
+            extra += DETOUR * np.isin(region, secluded)
+        if rooms:
+            extra += ELSEWHERE * ~np.isin(region, list(rooms))
+        if towards is not None:
+            extra += np.hypot(*(ground.places(rows, columns) - towards).T)
+        return self._least_effort(here, rows, columns, extra)
 
     def turn_to(self, place: F64) -> None:
         """Count how often the agent has turned to `place`, a target of its exploration. Give the target up when the
@@ -119,17 +186,32 @@ class Explorer:
         self._given_up.append(place)
 
     def _nearest(self, here: Here, targets: Bools) -> F64 | None:
-        """Return the target that takes the least effort to reach, the turn towards it included. Targets near the
-        previously returned one are preferred. None if no target can be reached.
+        """Return the target that takes the least effort to reach, less for one from which more of the targets and of
+        unseen floor is seen; None if no target can be reached.
         """
+        ground = here.ground
         rows, columns = np.nonzero(targets & np.isfinite(here.ways.distance))
-        if not len(rows):
+        gain = self._gain(ground, targets | ground.unseen, rows, columns)
+        worth = gain >= LEAST_GAIN
+        if not worth.any():
             return None
+        extra = WORTH * np.maximum(MUCH_NEAR - gain[worth], 0.0)
+        return self._least_effort(here, rows[worth], columns[worth], extra)
+
+    @staticmethod
+    def _gain(ground: Ground, wanted: Bools, rows: Ints, columns: Ints) -> F64:
+        """Return the area in square metres of the cells in `wanted` that are seen from each of k cells."""
+        return CELL * CELL * open_areas(wanted, ground.shut, rows, columns, round(OUTLOOK / CELL), RAYS)
+
+    def _least_effort(self, here: Here, rows: Ints, columns: Ints, extra: F64 | float = 0.0) -> F64:
+        """Return the place among k cells that takes the least effort: way, turn, and `extra` (k,) metres. Cells
+        near the place that was returned before are preferred.
+        """
         places = here.ground.places(rows, columns)
         away = places - here.place
         off = (np.arctan2(-away[:, 0], -away[:, 1]) - here.heading + math.pi) % (2 * math.pi) - math.pi
-        cost = CELL * here.ways.distance[rows, columns] + TURNING * np.abs(off) / (2 * HALF_TURN)
+        cost = CELL * here.ways.distance[rows, columns] + TURNING * np.abs(off) / (2 * HALF_TURN) + extra
         if self._target is not None:
-            cost -= FAITHFUL * (np.hypot(*(places - self._target).T) <= FAITHFUL)
+            cost -= FAITHFUL * (np.hypot(*(places - self._target).T) <= SAME)
         self._target = np.asarray(places[int(np.argmin(cost))], np.float64)
         return self._target

@@ -118,6 +118,11 @@ class Ways:
     before: NDArray[np.int32]
     start: int
 
+    def start_at(self, x: float, z: float) -> bool:
+        """Return whether the paths begin in the cell of a position, as they do for an agent that only turned."""
+        a, b = self.ground.cell(x, z)
+        return bool(self.start == a * self.distance.shape[1] + b)
+
     def nearest(self, targets: Bools) -> tuple[int, int] | None:
         """Return the cell among `targets` (n, m) with the least cost; None if none is reachable."""
         rows, columns = np.nonzero(targets & np.isfinite(self.distance))

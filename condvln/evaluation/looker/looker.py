@@ -39,6 +39,15 @@ BESIDE: Final = 4.0
 TRIES: Final = 4
 """Largest number of places to stop at that it can't reach before it stops where it is."""
 
+STOPPING: Final = 20.0
+"""Steps that it keeps for each stop."""
+SEARCHING: Final = 40.0
+"""Steps that it keeps besides to look for a thing that it has not seen yet."""
+ASKING: Final = 40.0
+"""Steps that it keeps for each further condition that may be asked."""
+STEPS_A_METRE: Final = 5.0
+"""Steps that a metre takes, turns included, counted along the axes of its map."""
+
 MARGIN: Final = 0.5
 """Length in metres by which it looks farther for a closer object than the closest known one is from the anchor."""
 
@@ -185,7 +194,7 @@ class Looker:
         if self._ground is None:
             self._ground = self.map.ground(x, z)
             self._ways = None
-        if self._ways is None:
+        if self._ways is None or not self._ways.start_at(x, z):
             self._ways = self._ground.ways_from(x, z)
         return Here(self._place[[0, 2]], self._heading, self._ground, self._ways)
 
@@ -214,8 +223,12 @@ class Looker:
                 continue
             found = self._way_to(thing)
             if found is None:
-                self._next_move()
-                continue
+                nearer = self._explorer.nearer(thing, self._here())
+                if nearer is None:
+                    self._next_move()
+                    continue
+                self._set_aim(nearer)
+                return
             self._set_aim(found.place, stop=found.final, beside=not found.final)
             return
         self._aim = None
@@ -227,12 +240,7 @@ class Looker:
         phrase = self.reading.conditions[number]
         answer, guess = self._referents.judge(phrase)
         if answer is None:
-            rooms = self._referents.rooms(phrase)
-            # Before the room is found there is nothing to guess from.
-            share = (
-                self.config.patience if rooms is None or rooms & self._explorer.been else (1 + self.config.patience) / 2
-            )
-            late = self._step >= share * self._limit
+            late = self._step + self._reserve(number) >= self._limit
             target = None if late else self._explorer.unseen(phrase, self._here())
             if target is not None:
                 self._set_aim(target)
@@ -244,6 +252,35 @@ class Looker:
             answer = not answer
         self.verdicts[number] = answer
         return answer
+
+    def _reserve(self, number: int) -> float:
+        """Return the number of steps that it keeps for the walk after the condition `number`: for the longest of the
+        leaves that its answers leave open.
+        """
+        most = (1 - self.config.patience) * self._limit
+        shape = SHAPES[self.reading.category]
+        waiting, longest = [(0, 0)], 0.0
+        while waiting:
+            at, asked = waiting.pop()
+            if at < 0:
+                longest = max(longest, ASKING * asked + self._walk_to(self.reading.leaves[-1 - at]))
+                continue
+            branch = shape.branches[at]
+            answer = self.verdicts.get(branch.condition)
+            more = asked + (answer is None and branch.condition != number)
+            waiting += [(branch.then, more)] * (answer is not False) + [(branch.otherwise, more)] * (answer is not True)
+        return min(most, longest)
+
+    def _walk_to(self, moves: Sequence[Phrase]) -> float:
+        """Return about how many steps the stops of a leaf take, from where the agent is."""
+        here, steps = self._place[[0, 2]], 0.0
+        for move in moves:
+            known = [thing.middle[[0, 2]] for thing in self._referents.known(move.label, self._referents.rooms(move))]
+            away = [float(np.abs(place - here).sum()) for place in known]
+            steps += STOPPING + (STEPS_A_METRE * min(away) if away else SEARCHING)
+            if away:
+                here = known[int(np.argmin(away))]
+        return steps
 
     def _found(self, move: Phrase) -> tuple[Thing | None, F64 | None]:
         """Return the object of a stop, or else a position from which to look for it."""
@@ -346,5 +383,4 @@ class Looker:
         if float(np.hypot(*(aim - self._place[[0, 2]]))) <= ARRIVED:
             return None
         here = self._here()
-        self._ways = None  # the next step starts from another position
         return self._steering.action(aim, here.place, here.heading, here.ground, here.ways, self._step)

@@ -17,6 +17,12 @@ ARRIVED: Final = 0.2
 AHEAD: Final = 2.0
 """Largest length in metres of a shortcut along its path, if the straight line is free."""
 HALF_TURN: Final = math.radians(VLN_CE.turn) / 2
+FREE: Final = 0.6
+"""Length in metres of the free floor straight ahead for which it goes on although its target is a little aside."""
+LENIENT: Final = 2.0
+"""Half turns by which the target may then be aside."""
+EASY: Final = 1.5
+"""Cost of a cell above which floor does not count as free."""
 PATIENT: Final = 24
 """Number of steps without progress after which it chooses another target."""
 
@@ -55,4 +61,8 @@ class Steering:
         off = (wanted - heading + math.pi) % (2 * math.pi) - math.pi
         if abs(off) <= HALF_TURN + 1e-9:
             return FORWARD
+        if abs(off) <= LENIENT * HALF_TURN and np.hypot(*away) > FREE and length * CELL > 2 * FREE:
+            ahead = here - FREE * np.array([math.sin(heading), math.cos(heading)])
+            if ground.open_between(here, ahead, among=ground.cost > EASY):
+                return FORWARD
         return LEFT if off > 0 else RIGHT

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from typer.testing import CliRunner
 
 from condvln.evaluation.export_folder import Export
-from condvln.evaluation.kernels.floor_grid import chart, line_is_open, ways
+from condvln.evaluation.kernels.floor_grid import chart, line_is_open, open_areas, ways
 from condvln.evaluation.looker import Looker, LookingAgent, read_text
 from condvln.evaluation.looker.approach import approach
 from condvln.evaluation.looker.exploring import Explorer, Here
@@ -21,12 +21,14 @@ from condvln.evaluation.looker.floor_map import HALF, Ground
 from condvln.evaluation.looker.judging import holds
 from condvln.evaluation.looker.memory import GRAIN, Memory, Thing
 from condvln.evaluation.looker.referents import Referents
+from condvln.evaluation.looker.steering import Steering
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.score import score
 from condvln.evaluation.stepped_episode import heading_of
 from condvln.instructions import reading_of
 from condvln.instructions.rendering import heading_name
 from condvln.instructions.text_reading import Phrase, Place
+from condvln.navigation.follower import FORWARD, RIGHT
 from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays, SceneObject
 from jobs.command import app
@@ -100,6 +102,16 @@ def test_greater_shares_of_errors_keep_the_errors_of_smaller_ones(made: tuple[Ex
     assert {number: view.scene.objects[number].label for number in truth} == truth
     missing = {share: set(truth) - set(found) for share, found in seen.items()}
     assert missing[0.0] <= missing[0.2] <= missing[0.5] != set()
+    confused = {
+        share: {n: label for n, label in found.items() if n in truth and label != truth[n]}
+        for share, found in seen.items()
+    }
+    assert confused[0.5]
+    # What is taken for something else stays so, unless it is missed.
+    assert not confused[0.0]
+    assert {n: confused[0.5][n] for n in confused[0.2] if n in seen[0.5]} == {
+        n: label for n, label in confused[0.2].items() if n in seen[0.5]
+    }
     ghosts = {share: {n for n in found if n >= GHOST} for share, found in seen.items()}
     assert ghosts[0.0] <= ghosts[0.2] <= ghosts[0.5] != set()
 
@@ -308,6 +320,110 @@ def test_new_rooms_come_before_what_furniture_hides_in_known_ones() -> None:
         place = explorer.unseen(sink, here)
         assert place is not None
         assert (place[1] < 1.0) == known
+
+
+def test_it_goes_nearer_to_a_thing_that_it_sees_from_afar() -> None:
+    ground, here = two_ways_on()
+    far = Thing(0, "sink", 1, surface(np.array([5.0, 0.5, -0.1]), np.array([5.2, 0.7, 0.1])), 4.0, 0)
+    assert approach(far, ground, here.ways, here.place) is None
+    explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
+    place = explorer.nearer(far, here)
+    assert place is not None
+    np.testing.assert_allclose(place, [1.45, 0.0], atol=0.06)
+    there = Here(place, 0.0, ground, ground.ways_from(*place.tolist()))
+    assert explorer.nearer(far, there) is None
+    explorer.give_up(place)
+    other = explorer.nearer(far, here)
+    assert other is None or np.hypot(*(other - place)) > 0.3
+
+
+def test_unseen_floor_counts_up_to_the_first_obstacle() -> None:
+    size, radius = 61, 20
+    wanted, shut = np.ones((size, size), bool), np.zeros((size, size), bool)
+    middle = np.array([30])
+    disc = math.pi * radius * (radius + 1)  # rings of one cell, each as long as its circle
+    assert open_areas(wanted, shut, middle, middle, radius, 32)[0] == pytest.approx(disc)
+    shut[40] = True
+    behind = open_areas(wanted, shut, middle, middle, radius, 512)[0]
+    segment = radius**2 * math.acos(10 / radius) - 10 * math.sqrt(radius**2 - 100)
+    assert behind == pytest.approx(math.pi * radius**2 - segment, rel=0.06)
+    shut[30 - 1 : 30 + 2, 30 - 1 : 30 + 2] = True
+    shut[30, 30] = False
+    assert open_areas(wanted, shut, middle, middle, radius, 32)[0] == 0.0
+    np.testing.assert_array_equal(open_areas(~wanted, np.zeros_like(shut), middle, middle, radius, 32), 0.0)
+
+
+def two_ways_on() -> tuple[Ground, Here]:
+    """The start is in the middle of 4 × 4 m of floor with unseen floor on the left, 1.7 m away, and on the right, 1.5 m
+    away.
+    """
+    ground = floor_with_a_bed(unseen_left=False)
+    for mask in (ground.shut, ground.tall):
+        mask[:] = False
+    ground.unseen[:3] = ground.unseen[35:] = True
+    ground.passable[:] = ~ground.unseen
+    ground.cost[:] = np.where(ground.unseen, np.inf, 1.0)
+    ground.frontier[3] = ground.frontier[34] = True
+    ground.region[:20], ground.region[20:] = 0, 1
+    pose = np.array([0.0, 0.0])
+    return ground, Here(pose, 0.0, ground, ground.ways_from(*pose))
+
+
+def test_more_unseen_floor_is_worth_a_detour() -> None:
+    sink = Phrase("sink", room=Place("kitchen"))
+    ground, here = two_ways_on()
+    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(sink, here)
+    assert place is not None
+    assert place[0] > 1.0
+    # A wall hides most of what is unseen on the right.
+    ground, here = two_ways_on()
+    ground.shut[36] = True
+    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(sink, here)
+    assert place is not None
+    assert place[0] < -1.0
+
+
+def test_shared_rooms_are_not_looked_for_by_way_of_bedrooms() -> None:
+    for wanted, left in (("kitchen", True), ("bathroom", False)):
+        _, here = two_ways_on()
+        memory = Memory()
+        memory.rooms.update({0: "living room", 1: "bedroom"})
+        place = Explorer(Referents(memory, None, 3.0), 3.0).unseen(Phrase("sink", room=Place(wanted)), here)
+        assert place is not None
+        assert (place[0] < 0) == left
+
+
+def test_it_goes_on_where_its_target_is_a_little_aside_and_the_floor_ahead_is_free() -> None:
+    ground, here = two_ways_on()
+    aim = np.array([0.3, -1.6])
+    for degrees, free, expected in (
+        (0.0, True, FORWARD),
+        (4.0, True, FORWARD),
+        (6.0, True, RIGHT),
+        (0.0, False, RIGHT),
+    ):
+        ground.cost[18:22, 14:16] = 1.0 if free else 6.0
+        steering = Steering()
+        action = steering.action(aim, here.place, math.radians(degrees), ground, here.ways, 0)
+        assert action == expected, degrees
+
+
+def test_it_answers_in_time_for_the_walk_that_is_left(made: tuple[Export, Path]) -> None:
+    task = next(task for task in made[0].tasks("train") if task.axes["category"] == "simple")
+    moves = max(len(leaf) for leaf in read_text(task.text).leaves)
+    looker = Looker(task.text, 500, LookerConfig())
+    # Nothing is known yet: every stop must be looked for.
+    far = looker._reserve(0)
+    assert moves * 20 < far <= 0.3 * 500
+    assert Looker(task.text, 100, LookerConfig())._reserve(0) == pytest.approx(min(far, 30.0))
+    assert Looker(task.text, 500, LookerConfig(patience=1.0))._reserve(0) == 0.0
+    # What is known beside the agent takes fewer steps.
+    for number, move in enumerate(move for leaf in looker.reading.leaves for move in leaf):
+        room = 0 if move.room is None else number
+        looker.memory.rooms[room] = "" if move.room is None else move.room.label
+        box = surface(np.array([0.2, 0, 0.2]), np.array([0.4, 0.2, 0.4]))
+        looker.memory._things[number] = Thing(number, move.label, room, box, 1.0, 0)
+    assert looker._reserve(0) < far
 
 
 def test_it_guesses_nothing_about_a_room_that_it_has_not_found(made: tuple[Export, Path], views: SceneViews) -> None:
