@@ -1,14 +1,18 @@
 """Speed of ``condvln trajectories``: images written against images rendered, and two workers against one.
 
-``python -m benchmarks trajectories`` prints two tables. The first compares the CPU time of writing walks (rendering,
-encoding, hashing, files) with that of rendering the same poses alone, in alternating rounds over made scenes of three
-families. The second makes the same recipe with one and with two Ray workers, by the clock: it needs a quiet machine
-with two cores. Targets: at least 0.85 of the frames of the sensors alone, and 1.9 times as fast with two workers.
+``python -m benchmarks trajectories`` prints three tables. The first two compare the CPU time of writing walks
+(rendering, encoding, hashing, files, rows) with that of observing the same poses through the same cameras as an agent
+does, with arrays and no files: first walks without a repeated pose, then the gold and recovery walks of made episodes,
+which share many poses. The third makes the same recipe with one and with two Ray workers, by the clock: it needs a
+quiet machine with two cores. Targets: at least 0.85 of the frames of the sensors alone, and 1.9 times as fast with two
+workers.
+
+No files are removed before the end: ext4 does not reuse an inode for some seconds after its file was removed, and looks
+for another one in every new file's time. That would be measured as the cost of writing.
 """
 
 from __future__ import annotations
 
-import shutil
 import statistics
 import tempfile
 import time
@@ -23,24 +27,34 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 
+from condvln.manifest import manifest_paths
 from condvln.samples import make_samples
 from condvln.sensors.renderer import Renderer
 from condvln.sources.registry import open_source
+from condvln.sources.source import hash_file
 from condvln.trajectories.cameras import hub_cameras
 from condvln.trajectories.images import ImageWriter, image_path
 from condvln.trajectories.tables import point_of, vector
 from condvln.world import open_world
+from jobs.export import export_snapshot_of
+from jobs.generate import run_generate
+from jobs.stages.trajectories import WalkStage
 from jobs.trajectories import Request, make_trajectories
-from schemas.config import CameraConfig, TrajectoryConfig
+from jobs.trajectory_units import find_target, list_units
+from schemas.config import CameraConfig, Config, Family, InstructionsConfig, SourceConfig, TrajectoryConfig
+from schemas.program import CATEGORIES
 from schemas.trajectory_tables import LEFT_OUT, POSES, STEPS, TRAJECTORIES
 
 ROUNDS: Final = 3
 WALKS: Final = 4
 FRAMES: Final = 60
 """Frames of a walk in the first table."""
-SCENES: Final = 8
-LONG: Final = 500
-"""Frames of each scene in the second table."""
+PER_CATEGORY: Final = 2
+"""Episodes of each category in the second table."""
+SCENES: Final = 32
+LONG: Final = 900
+"""Frames of each scene in the third table: enough work for Ray's start, and two workers' uneven ends, to be small."""
+LONG_ROUNDS: Final = 2
 
 Row = dict[str, Any]
 
@@ -70,43 +84,79 @@ def cpu_seconds(run: Callable[[], object]) -> float:
     return time.process_time() - begun
 
 
-def compared(renderer: Renderer, cameras: Mapping[str, CameraConfig], steps: pa.Table, out: Path) -> list[str]:
-    """Return a row of the first table: frames per CPU second rendered and written, medians, and their ratio."""
-    coloured = {camera for name, camera in cameras.items() if name.startswith("rgb")}
-    views = {camera: camera in coloured for camera in cameras.values()}
-    parts = [steps.slice(at, FRAMES) for at in range(0, len(steps), FRAMES)]
-    writer = ImageWriter(out, renderer, cameras, TrajectoryConfig())
+def compared(
+    renderer: Renderer, cameras: Mapping[str, CameraConfig], parts: list[pa.Table], out: Path, rounds: int
+) -> list[str]:
+    """Return a row of the first two tables: frames per CPU second rendered and written, medians, and their ratio.
+
+    parts : rows of ``steps``; rendering and writing take turns after each part
+    out : a new folder for all that is written
+    """
+    names = {name.replace(".", "_"): camera for name, camera in cameras.items()}
+    frames = sum(len(part) for part in parts)
 
     def render(part: pa.Table) -> None:
         for row in part.select(["position", "heading"]).to_pylist():
-            for camera, rgb in views.items():
-                renderer.look(camera, point_of(row["position"]), row["heading"], rgb=rgb)
+            renderer.observe(names, point_of(row["position"]), row["heading"])
 
-    def both() -> tuple[float, float]:
-        """Return the CPU seconds of rendering and of writing; they take turns after each walk."""
-        shutil.rmtree(out, ignore_errors=True)
+    def both(number: int) -> tuple[float, float]:
+        """Return the CPU seconds of rendering and of writing."""
+        writer = ImageWriter(out / str(number), renderer, cameras, TrajectoryConfig())
         times = [(cpu_seconds(partial(render, part)), cpu_seconds(partial(writer.write, part))) for part in parts]
         return sum(one for one, _ in times), sum(other for _, other in times)
 
-    both()
-    rounds = [both() for _ in range(ROUNDS)]
-    alone, written = (len(steps) / statistics.median(times) for times in zip(*rounds, strict=True))
-    ratios = sorted(one / other for one, other in rounds)
+    both(0)
+    taken = [both(number) for number in range(1, rounds + 1)]
+    alone, written = (frames / statistics.median(times) for times in zip(*taken, strict=True))
+    ratios = sorted(one / other for one, other in taken)
     return [f"{alone:.1f}", f"{written:.1f}", f"{ratios[len(ratios) // 2]:.3f}", f"{ratios[0]:.3f} to {ratios[-1]:.3f}"]
 
 
+def made_walks(folder: Path, family: Family) -> list[pa.Table]:
+    """Return ``steps`` of the gold and recovery walks of episodes in a made scene, in a list of its own."""
+    instructions = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY))
+    config = Config(
+        name="walks",
+        store=folder / f"{family}-store",
+        export=folder / f"{family}-export",
+        sources=(SourceConfig(family=family, root=folder / family),),
+        instructions=instructions,
+    )
+    run_generate(config, inline=True)
+    export_snapshot_of(config)
+    walks = TrajectoryConfig(walks=("gold", "recovery"))
+    found = []
+    for manifest in manifest_paths(folder / f"{family}-export"):
+        target = find_target(str(folder / f"{family}-export"), manifest.stem, scenes=(f"{family}={folder / family}",))
+        for unit in list_units(target, hub_cameras("streamvln", ()), walks, hash_file):
+            found.append(WalkStage(walks).run(unit, {}, {}).tables["steps"])
+    return [pa.concat_tables(found)]
+
+
 def written_and_rendered(folder: Path) -> None:
-    """Print the first table."""
-    print("| family | cameras | rendered, frames/CPU s | written | ratio | rounds |\n|---|---|---|---|---|---|")
-    for family in ("replicacad", "procthor", "gibson"):
-        make_samples(folder / family, family=family, scenes=1, seed=1)
-        source = open_source(family, folder / family)
-        world = open_world(source, source.scene_ids()[0])
-        steps = pa.Table.from_pylist(walked(world.scene.scene_id, world.pathfinder, WALKS, FRAMES), schema=STEPS)
-        for layouts in ((), ("internvla-n1",)):
-            cameras = hub_cameras("streamvln", layouts)
-            row = compared(world.renderer, cameras, steps, folder / "written")
-            print(f"| {family} | {', '.join(cameras)} | " + " | ".join(row) + " |", flush=True)
+    """Print the first two tables."""
+    heading = "| family | cameras | poses | distinct | rendered, frames/CPU s | written | ratio | rounds |"
+    print(f"{heading}\n|---|---|---|---|---|---|---|---|")
+    families: tuple[Family, ...] = ("replicacad", "procthor", "gibson")
+    for real in (False, True):
+        for family in families:
+            if not real:
+                make_samples(folder / family, family=family, scenes=1, seed=1)
+            source = open_source(family, folder / family)
+            world = open_world(source, source.scene_ids()[0])
+            if real:
+                parts = made_walks(folder, family)
+            else:
+                rows = walked(world.scene.scene_id, world.pathfinder, WALKS, FRAMES)
+                steps = pa.Table.from_pylist(rows, schema=STEPS)
+                parts = [steps.slice(at, FRAMES) for at in range(0, len(steps), FRAMES)]
+            poses = [(*row["position"].values(), row["heading"]) for part in parts for row in part.to_pylist()]
+            for layouts in ((), ("internvla-n1",)):
+                cameras = hub_cameras("streamvln", layouts)
+                out = folder / f"written-{real}-{family}-{len(cameras)}"
+                row = compared(world.renderer, cameras, parts, out, 1 if real else ROUNDS)
+                shown = [family, ", ".join(cameras), f"{len(poses):,}", f"{len(set(poses)):,}", *row]
+                print("| " + " | ".join(shown) + " |", flush=True)
 
 
 def write_recipe(folder: Path, data: Path) -> None:
@@ -149,11 +199,12 @@ def write_recipe(folder: Path, data: Path) -> None:
 
 
 def two_workers(folder: Path) -> None:
-    """Print the second table."""
+    """Print the third table."""
     make_samples(folder / "houses", family="procthor", scenes=SCENES, seed=2)
     write_recipe(folder / "recipe", folder / "houses")
     taken: dict[int, list[float]] = {1: [], 2: []}
-    for number in range(ROUNDS):
+    worked: dict[int, list[float]] = {1: [], 2: []}
+    for number in range(LONG_ROUNDS):
         for workers, times in taken.items():
             request = Request(
                 target="",
@@ -162,18 +213,25 @@ def two_workers(folder: Path) -> None:
                 scenes=(f"procthor={folder / 'houses'}",),
                 workers=workers,
             )
+            begun = time.perf_counter()
             report = make_trajectories(request, Console(quiet=True))
-            times.append(report.document["seconds"])
-            shutil.rmtree(request.out)
-    one, two = (statistics.median(times) for times in taken.values())
-    ratios = sorted(a / b for a, b in zip(*taken.values(), strict=True))
-    print("\n| frames | one worker, s | two workers, s | faster | rounds |\n|---|---|---|---|---|")
-    shown = ", ".join(f"{ratio:.2f}" for ratio in ratios)
-    print(f"| {SCENES * LONG:,} | {one:.1f} | {two:.1f} | {ratios[len(ratios) // 2]:.2f} × | {shown} |")
+            times.append(time.perf_counter() - begun)
+            worked[workers].append(sum(report.document["stage_seconds"].values()))
+    print("\n| workers | whole command, s | all stages, s | else (start, tables), s | faster | rounds |")
+    print("|---|---|---|---|---|---|")
+    ratios = [a / b for a, b in zip(*taken.values(), strict=True)]
+    for workers, times in taken.items():
+        whole, stages = statistics.median(times), statistics.median(worked[workers])
+        row = [f"{workers}", f"{whole:.1f}", f"{stages:.1f}", f"{whole - stages / workers:.1f}"]
+        row += (
+            ["", ""] if workers == 1 else [f"{statistics.median(ratios):.2f} ×", ", ".join(f"{r:.2f}" for r in ratios)]
+        )
+        print("| " + " | ".join(row) + " |")
+    print(f"\n{SCENES * LONG:,} frames in {SCENES} scenes")
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     with tempfile.TemporaryDirectory() as folder:
         written_and_rendered(Path(folder))
         two_workers(Path(folder))

@@ -171,7 +171,7 @@ class _Run:
         clear_parts(self.folder)
         pipeline = self._pipeline(state)
         forget_damaged(store, self.folder, state)
-        warm_up(CompilationNote(self.console), only={"paths", "follower", "cameras"})
+        warm_up(CompilationNote(self.console), only={"paths", "follower", "cameras", "depth images"})
         ray = self.work.target.config.ray
         if self.request.workers is not None:
             ray = ray.model_copy(update={"workers": self.request.workers})

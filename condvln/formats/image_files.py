@@ -16,14 +16,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MILLIMETRES", "encoders", "encoders_of", "jpeg", "png16"]
+from condvln.formats.depth_rows import filtered_rows
 
-MILLIMETRES: Final = np.float32(1000)
-"""Levels of a depth image for each metre."""
+__all__ = ["encoders", "encoders_of", "jpeg", "png16"]
 
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-_UP: Final = 2
-"""PNG's filter that stores the difference to the byte above."""
 
 
 @cache
@@ -60,14 +57,8 @@ def png16(depth: NDArray[np.float32], level: int) -> bytes:
     from isal import isal_zlib
 
     height, width = depth.shape
-    scaled = np.multiply(depth, MILLIMETRES)
-    np.rint(scaled, out=scaled)
-    np.clip(scaled, 0, np.iinfo(np.uint16).max, out=scaled)
-    rows = scaled.astype(">u2").view(np.uint8)
     filtered = np.empty((height, 1 + 2 * width), np.uint8)
-    filtered[:, 0] = _UP
-    filtered[0, 1:] = rows[0]
-    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    filtered_rows(np.ascontiguousarray(depth, np.float32), filtered)
     # Width, height, bits, grey, and the only compression, filter method and order without interlacing.
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     data: bytes = isal_zlib.compress(filtered, level)

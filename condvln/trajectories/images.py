@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
@@ -75,52 +76,72 @@ class ImageWriter:
             self._views.setdefault(camera, []).append(name)
 
     def write(self, steps: pa.Table) -> pa.Table:
-        """Write the images of all walks in `steps`; return the rows of ``poses``.
+        """Write the images of all walks of a scene; return the rows of ``poses``.
+
+        Walks of one scene share many poses: variants of an instruction have one start, and a recovery walk follows the
+        gold one until its mistake. Each pose is rendered, encoded and hashed once.
 
         Raises
         ------
         StoreError : the folder refuses
         """
         names = steps["trajectory"].to_pylist()
+        if not names:
+            return POSES.empty_table()
         starts = [0, *(at for at in range(1, len(names)) if names[at] != names[at - 1]), len(names)]
-        parts = [self._walk(steps.slice(a, b - a)) for a, b in pairwise(starts) if b > a]
-        return pa.concat_tables(parts) if parts else POSES.empty_table()
-
-    def _walk(self, steps: pa.Table) -> pa.Table:
-        name = steps["trajectory"][0].as_py()
-        target = self._folder / IMAGES / name
-        part = target.with_name(f"{_PART}{os.getpid()}-{name}")
+        images = self._folder / IMAGES
+        parts = {names[at]: images / f"{_PART}{os.getpid()}-{names[at]}" for at in starts[:-1]}
         try:
-            with writing(target):
-                for camera in self._cameras if self._keep else ():
-                    (part / camera).mkdir(parents=True, exist_ok=True)
-                places = _columns(steps["position"])
-                # Lists of plain values: a dictionary for each image makes Python's garbage collector walk the whole
-                # scene.
-                found: dict[str, list[Any]] = {key: [] for key in ("step", *_IMAGE)}
-                right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
-                for frame, (place, heading) in enumerate(zip(places, steps["heading"].to_pylist(), strict=True)):
-                    ahead = places[frame + 1 : mistake_after(right, frame)]
-                    for camera, data, seen in self.draw(place, heading):
-                        goal = None
-                        if seen is not None:
-                            slack = self._config.goal_slack
-                            goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, slack)
-                        path = image_path(name, camera, frame)
-                        if self._keep:
-                            _write(f"{part}/{camera}/{path.rpartition('/')[2]}", data)
-                        found["step"].append(frame)
-                        found["camera"].append(camera)
-                        found["image"].append(path)
-                        found["goal"].append(None if goal is None else [goal.column, goal.row])
-                        found["goal_frame"].append(None if goal is None else goal.frames)
-                        found["bytes"].append(len(data))
-                        found["sha256"].append(hashlib.sha256(data).hexdigest())
-                if self._keep:
-                    _replace(part, target)
+            with writing(images):
+                for part in parts.values() if self._keep else ():
+                    for camera in self._cameras:
+                        (part / camera).mkdir(parents=True, exist_ok=True)
+                found = self._images(steps, starts, [f"{parts[names[at]]}" for at in starts[:-1]])
+                for name, part in parts.items() if self._keep else ():
+                    _replace(part, images / name)
         finally:
-            shutil.rmtree(part, ignore_errors=True)
+            for part in parts.values():
+                shutil.rmtree(part, ignore_errors=True)
         return self._rows(steps, found)
+
+    def _images(self, steps: pa.Table, starts: list[int], parts: list[str]) -> dict[str, list[Any]]:
+        """Write the images into the folders of their walks; return the columns of their rows, frame by frame, all
+        cameras of a frame together.
+
+        starts : (w + 1,) the first row of `steps` of each walk, and the end; parts : (w,) the walks' folders
+        """
+        names = [name for view in self._views.values() for name in view]
+        # Lists of plain values: a dictionary for each image makes Python's garbage collector walk the whole scene.
+        found: dict[str, list[Any]] = {key: [None] * (len(names) * starts[-1]) for key in _IMAGE}
+        places, headings = _columns(steps["position"]), np.asarray(steps["heading"])
+        right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
+        walks = steps["trajectory"].to_pylist()
+        ends = {
+            row: start + mistake_after(right[start:end], row - start)
+            for start, end in pairwise(starts)
+            for row in range(start, end)
+        }
+        for rows in _of_one_pose(places, headings):
+            place, heading = places[rows[0]], float(headings[rows[0]])
+            for number, (camera, data, seen) in enumerate(self.draw(place, heading)):
+                hashed = hashlib.sha256(data).hexdigest()
+                for row in rows:
+                    walk = bisect_right(starts, row) - 1
+                    path = image_path(walks[row], camera, row - starts[walk])
+                    if self._keep:
+                        _write(f"{parts[walk]}/{camera}/{path.rpartition('/')[2]}", data)
+                    goal = None
+                    if seen is not None:
+                        ahead = places[row + 1 : ends[row]]
+                        goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, self._config.goal_slack)
+                    at = row * len(names) + number
+                    found["camera"][at] = camera
+                    found["image"][at] = path
+                    found["goal"][at] = None if goal is None else [goal.column, goal.row]
+                    found["goal_frame"][at] = None if goal is None else goal.frames
+                    found["bytes"][at] = len(data)
+                    found["sha256"][at] = hashed
+        return found
 
     def draw(
         self, place: NDArray[np.float64], heading: float
@@ -129,7 +150,10 @@ class ImageWriter:
         colour camera. Cameras that differ only in modality are rendered once.
         """
         for view, names in self._views.items():
-            frame: Frame = self._renderer.look(view, place, heading, rgb=not all(map(is_depth, names)))
+            depths = [is_depth(name) for name in names]
+            frame: Frame = self._renderer.look(
+                view, place, heading, rgb=not all(depths), depth=any(depths), objects=False
+            )
             for name in names:
                 if is_depth(name):
                     yield name, png16(frame.depth, self._config.png_level), frame.depth
@@ -137,7 +161,7 @@ class ImageWriter:
                     yield name, jpeg(frame.rgb, self._config.jpeg_quality), None
 
     def _rows(self, steps: pa.Table, found: Mapping[str, list[Any]]) -> pa.Table:
-        repeated = steps.take(pa.array(found["step"], pa.int64()))
+        repeated = steps.take(pa.array(np.arange(steps.num_rows).repeat(len(self._cameras))))
         cameras = [self._cameras[name] for name in found["camera"]]
         columns: dict[str, Any] = {name: repeated[name] for name in STEPS.names}
         columns |= {key: found[key] for key in _IMAGE}
@@ -149,6 +173,14 @@ class ImageWriter:
 
 _IMAGE: Final = ("camera", "image", "goal", "goal_frame", "bytes", "sha256")
 _CAMERA: Final = ("width", "height", "hfov", "eye_height", "look_down")
+
+
+def _of_one_pose(places: NDArray[np.float64], headings: NDArray[np.float64]) -> Iterator[list[int]]:
+    """Yield for each distinct pose the rows that have it, in the order of their first rows."""
+    found: dict[bytes, list[int]] = {}
+    for row, pose in enumerate(np.column_stack([places, headings])):
+        found.setdefault(pose.tobytes(), []).append(row)
+    return iter(found.values())
 
 
 def _columns(points: pa.ChunkedArray) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled
 
-__all__ = ["CLAMP", "resolve", "shade"]
+__all__ = ["CLAMP", "resolve_depth", "resolve_owner", "shade"]
 
 Doubles = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -21,20 +21,24 @@ CLAMP, MIRROR = 1, 2
 
 
 @compiled
-def resolve(inverse: Floats, face: Ints, owner: Ints, depth: Floats, instance: Ints) -> None:
-    """Fill `depth` (0 where nothing is seen) and `instance` (owner's index plus 1) of each pixel. The arrays of pixels
-    are (h, w).
+def resolve_depth(inverse: Floats, face: Ints, depth: Floats) -> None:
+    """Fill `depth` of each pixel, 0 where nothing is seen. The arrays are (h, w)."""
+    height, width = face.shape
+    for y in range(height):
+        for x in range(width):
+            depth[y, x] = np.float32(1.0) / inverse[y, x] if face[y, x] >= 0 else np.float32(0.0)
+
+
+@compiled
+def resolve_owner(face: Ints, owner: Ints, instance: Ints) -> None:
+    """Fill `instance` of each pixel: the index of the face's owner plus 1, 0 where nothing is seen. The images are
+    (h, w).
     """
     height, width = face.shape
     for y in range(height):
         for x in range(width):
             f = face[y, x]
-            if f < 0:
-                depth[y, x] = 0.0
-                instance[y, x] = 0
-            else:
-                depth[y, x] = np.float32(1.0) / inverse[y, x]
-                instance[y, x] = owner[f] + 1
+            instance[y, x] = owner[f] + 1 if f >= 0 else 0
 
 
 @compiled

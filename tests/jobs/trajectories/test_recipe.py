@@ -153,7 +153,7 @@ def test_a_recipe_alone_is_proven(asked: Request, made: Path, tmp_path: Path) ->
 
 
 def test_images_of_licensed_scans_are_refused(asked: Request, recipe: Path, tmp_path: Path) -> None:
-    assert {name for name, family in FAMILIES.items() if family.licensed} == {"gibson", "mp3d"}
+    assert {name for name, family in FAMILIES.items() if family.licensed} == {"gibson", "hm3d", "mp3d"}
     with pytest.raises(UsageError, match=r"Gibson and 3D Scene Graph and Matterport3D.*--licensed"):
         refuse_unlicensed(["procthor", "mp3d", "gibson"])
     refuse_unlicensed(["procthor", "unheard-of"])
