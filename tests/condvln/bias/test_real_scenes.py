@@ -57,7 +57,7 @@ def test_the_gate_sees_statements_that_are_foregone_conclusions(real_data: Path,
     assert "whole statement" in {finding.guesser for finding in uninformed.beaten}
     # With counts over both layouts together, those that are true all over one and false all over the other.
     mixed = verdict(lambda scene: pooled.bits(scene, 0.05))
-    assert {finding.guesser for finding in mixed.beaten} == {"statement in its layout"}
+    assert "statement in its layout" in {finding.guesser for finding in mixed.beaten}
 
 
 @pytest.mark.soak
