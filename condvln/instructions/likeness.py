@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from condvln.labels import vocabulary
 from condvln.labels.roles import Role, labels_with_role
+from condvln.labels.sizes import plausible_sizes
 from condvln.relations.metrics import millimetres
 from condvln.scene import RoomArrays, SceneObject
 from schemas.config.constants import (
@@ -152,7 +153,7 @@ def parts(arrays: RoomArrays) -> Bools:
 
 def mistakable(arrays: RoomArrays) -> Bools:
     """Return a mask (n,) of the objects that, in a scan, may be something else than their label says: a television that
-    may be a monitor, a chair that may be two.
+    may be a monitor, a chair that may be two, a book as large as a table.
     """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     ground = (high - low)[:, [0, 2]]
@@ -164,7 +165,20 @@ def mistakable(arrays: RoomArrays) -> Bools:
     beyond = [np.maximum(np.maximum(one, other), 0.0) for one, other in sides]
     away = np.hypot(beyond[0], beyond[1])
     before = (away <= 1000.0 * SCREEN_TO_KEYBOARD).any(axis=1)
-    return np.asarray(pair | (screen & (before | (high[:, 1] - low[:, 1] > long))))
+    screen &= before | (high[:, 1] - low[:, 1] > long)
+    return np.asarray(pair | screen | np.array([_is_odd_sized(item) for item in arrays.objects], dtype=bool))
+
+
+def _is_odd_sized(item: SceneObject) -> bool:
+    """Return whether an object is too small or too large for its label."""
+    bounds = plausible_sizes().get(item.label)
+    sides = None if item.box is None else item.box[1] - item.box[0]
+    if item.obb is not None:
+        sides = 2.0 * item.obb.half_extents
+    if bounds is None or sides is None:
+        return False
+    least, most = (round(1000.0 * bound) for bound in bounds)
+    return not least <= float(millimetres(sides).max()) <= most
 
 
 def twins(arrays: RoomArrays, rival: Bools) -> Bools:

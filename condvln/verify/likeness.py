@@ -5,7 +5,7 @@ table may pass for a counter, an object may have fallen over.
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from schemas.config.constants import (
 
 __all__ = [
     "has_fallen",
+    "is_odd_sized",
     "is_part",
     "looks_like",
     "may_be_one",
@@ -97,6 +98,15 @@ def passes_for_another_screen(
         return True
     before = (thing for thing in things if thing.label in desktop and thing.box is not None)
     return any(footprint_gap(screen, thing) <= 1000.0 * SCREEN_TO_KEYBOARD for thing in before)
+
+
+def is_odd_sized(thing: Thing, sizes: Mapping[str, tuple[float, float]], family: str) -> bool:
+    """Return whether the longest side of an object in a scan is outside of what `sizes` gives for its label, metres."""
+    if family not in FROM_SCANS or thing.label not in sizes or not thing.sides():
+        return False
+    least, most = sizes[thing.label]
+    longest = thing.sides()[-1]
+    return longest < round(least * 1000.0) or longest > round(most * 1000.0)
 
 
 def is_part(thing: Thing, things: Iterable[Thing], parts: Container[str], named: Container[str]) -> bool:

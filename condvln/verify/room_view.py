@@ -10,6 +10,7 @@ from functools import cached_property
 from condvln.scene import Room, SceneObject
 from condvln.verify.likeness import (
     has_fallen,
+    is_odd_sized,
     is_part,
     looks_like,
     may_be_one,
@@ -77,6 +78,7 @@ class RoomView:
             for x in things
             if may_be_two(x, roles["seat"], family)
             or passes_for_another_screen(x, things, roles["screen"], roles["desktop"], family)
+            or is_odd_sized(x, meaning.sizes, family)
         }
 
     @cached_property

@@ -70,6 +70,7 @@ class Words:
     containers : kind by label: ``shut`` (a door or lid may hide the contents) or ``open``
     frames : labels of open frames, which one can see through
     roles : labels that are fixed or portable, by the name of the role
+    sizes : by label, the least and the greatest longest side in metres for which a scan's label is trusted
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -84,6 +85,7 @@ class Words:
     containers: Mapping[str, str]
     frames: frozenset[str]
     roles: Mapping[str, frozenset[str]]
+    sizes: Mapping[str, tuple[float, float]]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _contents: tuple[tuple[str, str, int, str], ...]
@@ -186,6 +188,7 @@ def words() -> Words:
         containers=_containers(labels),
         frames=_frames(labels),
         roles=_roles(),
+        sizes={row["label"]: (float(row["least"]), float(row["most"])) for row in _rows("sizes.csv")},
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _contents=tuple(

@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from condvln.instructions.likeness import called_counters, doubles, fallen, look_alikes
+from condvln.instructions.likeness import called_counters, doubles, fallen, look_alikes, mistakable
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
+from condvln.labels.sizes import plausible_sizes
 from condvln.relations import relate_room, text_facts
 from condvln.scene import MeshPart, Room, RoomArrays, SceneObject, round_mm
 from condvln.scene.quaternions import rotation_y
-from condvln.verify.likeness import has_fallen, looks_like, may_be_one, passes_for_a_counter
+from condvln.verify.likeness import has_fallen, is_odd_sized, looks_like, may_be_one, passes_for_a_counter
 from condvln.verify.surroundings import Thing
+from condvln.verify.words import words
 from schemas.config import Thresholds
 
 Point = Sequence[float]
@@ -151,3 +153,32 @@ def test_away_from_is_a_name_only_where_all_rivals_are_near(gap: float, named: b
     found = referents([rack, far, other], "mp3d")
     assert ("far from" in {q.predicate for q in found.qualifications[0]}) is named
     assert found.facts.status["far from"][1, 2] == (0 if gap == 0.0 else -1)
+
+
+@pytest.mark.parametrize(
+    ("label", "size", "odd"),
+    [
+        ("book", (0.2, 0.03, 0.5), False),
+        ("book", (0.2, 0.03, 0.501), True),
+        ("book", (0.1, 0.03, 0.05), False),
+        ("book", (0.099, 0.03, 0.05), True),
+        ("book", (1.0, 0.3, 0.86), True),
+        ("cup", (0.2, 0.45, 0.2), True),
+        ("heater", (9.0, 0.1, 0.1), False),  # of which nothing is known
+    ],
+)
+def test_a_scan_names_nothing_of_an_odd_size(label: str, size: Point, odd: bool) -> None:
+    item = thing("a", label, (0, 0, 0), size)
+    assert mistakable(RoomArrays.of("room", [item], 0.0)).tolist() == [odd]
+    assert is_odd_sized(Thing.of(item, label), words().sizes, "gibson") == odd
+    assert not is_odd_sized(Thing.of(item, label), words().sizes, "procthor")
+    assert referents([item], "gibson").nameable.tolist() == [not odd]
+    assert referents([item], "procthor").nameable.tolist() == [True]
+
+
+def test_sizes_are_of_known_labels_and_in_order() -> None:
+    assert list(plausible_sizes()) == sorted(plausible_sizes())
+    for label, (least, most) in plausible_sizes().items():
+        assert vocabulary.fit_for_text(label), label
+        assert 0.0 < least < most / 1.5, label
+    assert words().sizes == plausible_sizes()

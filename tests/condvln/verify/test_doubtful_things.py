@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from condvln.instructions import LabelPriors
+from condvln.labels.sizes import plausible_sizes
 from condvln.scene import Room, Scene, SceneObject, round_mm
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.referents import Problem, SceneReferents
@@ -27,7 +28,18 @@ LEAST = 0.99
 RENAMED = {"trash can": "drawer", "nightstand": "side table", "laptop": "television"}
 """Labels put into the made rooms, so that each rule has something to decide."""
 
-KINDS = {"border", "foreign", "part", "two chairs", "keyboard", "tall screen", "twin", "thin box", "small table"}
+KINDS = {
+    "border",
+    "foreign",
+    "part",
+    "two chairs",
+    "keyboard",
+    "tall screen",
+    "twin",
+    "thin box",
+    "small table",
+    "odd size",
+}
 
 
 def scan(seed: int) -> Scene:
@@ -88,6 +100,10 @@ def mutants(scene: Scene, named: Condition | ObjectRef) -> Iterator[tuple[str, S
             yield "border", replace(scene, rooms=rooms)
             stray = replace(boxed(item, low, high, name="stray"), room_id=others[0].room_id)
             yield "foreign", put(scene, stray)
+        if item.label in plausible_sizes():
+            for wrong in (0.9 * plausible_sizes()[item.label][0], 1.1 * plausible_sizes()[item.label][1]):
+                size = half * (wrong / (2.0 * half.max()))
+                yield "odd size", put(scene, boxed(item, middle - size, middle + size))
         if item.label == "drawer":
             around = boxed(item, low - 0.05, high + 0.05, "television stand", "around")
             yield "part", put(scene, around)
