@@ -59,12 +59,13 @@ def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove,
     assert drawn >= 55
 
 
-@pytest.mark.parametrize("building", ["Allensville", "Oyens"])
-def test_automated_graphs_are_asked_about_what_is_there(real_data: Path, facts_maker, prove, building: str) -> None:
-    """In their rooms a direction has one truth: only all directions together have both."""
+def test_automated_graphs_are_asked_about_what_is_there(real_data: Path, facts_maker, prove) -> None:
+    """In their rooms a direction has one truth: only all directions together have both. (In Allensville nothing is left
+    to ask once things of odd sizes, such as a book of a metre, are nameless.)
+    """
     if not (real_data / "gibson").is_dir():
         pytest.skip(f"no gibson in {real_data}")
-    scene = open_source("gibson", real_data / "gibson", absence="never").read(f"automated/{building}")
+    scene = open_source("gibson", real_data / "gibson", absence="never").read("automated/Oyens")
     facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     programs = list(made_sampler(scene, facts, bits, per_category={"simple": 12}).candidates("simple"))
     assert len(programs) >= 16
