@@ -13,10 +13,13 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Draws", "generator", "stable_hash"]
+__all__ = ["Draws", "FewDraws", "generator", "stable_hash"]
 
 BLOCK: Final = 4096
 """Number of uniforms drawn at once: one call into numpy costs as much as drawing a few hundred."""
+
+FEW: Final = 32
+"""Number of uniforms drawn at first where few are needed, as for one text."""
 
 T = TypeVar("T")
 
@@ -98,3 +101,32 @@ class Draws:
         """Return the items at `k` different random positions of `items`, in random order."""
         pool = list(items)
         return [pool.pop(self.index(len(pool))) for _ in range(k)]
+
+
+class FewDraws(Draws):
+    """The same stream of random choices as `Draws`, for purposes that need few of them: a block is drawn in two parts,
+    the part that is read first at once, and the other part only if it is needed.
+    """
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        super().__init__(generator)
+        self._is_begun = False
+
+    def uniform(self) -> float:
+        """Return a float in [0, 1)."""
+        if not self._block and isinstance(self._generator.bit_generator, np.random.PCG64):
+            bits = self._generator.bit_generator
+            if not self._is_begun:
+                # A block is read from its end, and each uniform is one step of the generator.
+                bits.advance(BLOCK - FEW)
+                self._block = self._generator.random(FEW).tolist()
+            else:
+                bits.advance(2**128 - BLOCK)
+                self._block = self._generator.random(BLOCK - FEW).tolist()
+                bits.advance(FEW)
+            self._is_begun = not self._is_begun
+        return super().uniform()
+
+    def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], T]) -> T:
+        """Raise TypeError: a kernel reads whole blocks."""
+        raise TypeError("a kernel reads whole blocks; use Draws")
