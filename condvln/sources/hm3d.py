@@ -10,7 +10,6 @@ the dataset's folder.
 from __future__ import annotations
 
 import csv
-import io
 import posixpath
 import re
 from collections import Counter, defaultdict
@@ -24,6 +23,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.formats.csv_table import csv_columns
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
@@ -423,23 +423,8 @@ def _read_votes(data: bytes, where: str) -> Mapping[str, Mapping[int, str]]:
     ------
     FormatError : the table is not text in UTF-8, or lacks a column
     """
-    try:
-        rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
-        missing = [name for name in VOTED if name not in (rows.fieldnames or ())]
-        if missing:
-            raise FormatError(
-                f"the table has no column {' and no column '.join(missing)}",
-                where=where,
-                place="line 1",
-                remedy="Download the table again",
-            )
-        found: defaultdict[str, dict[int, str]] = defaultdict(dict)
-        for row in rows:
-            scan, region, kind = (row[name] or "" for name in VOTED)
-            if re.fullmatch(r"[0-9]{1,9}", region.strip()) and kind.strip():
-                found[scan.strip()][int(region)] = kind.strip()
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FormatError(
-            f"not a table of comma-separated values: {error}", where=where, remedy="Download the table again"
-        ) from None
+    found: defaultdict[str, dict[int, str]] = defaultdict(dict)
+    for scan, region, kind in csv_columns(data, VOTED, where):
+        if re.fullmatch(r"[0-9]{1,9}", region) and kind:
+            found[scan][int(region)] = kind
     return found

@@ -7,13 +7,12 @@ has the semantic class of its configuration. Templates in ``objects/openings/`` 
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, Final
 
+from condvln.formats.csv_table import csv_columns
 from condvln.labels import vocabulary
 from condvln.sources.body import BodyReader
 from condvln.sources.input_ledger import InputLedger
@@ -21,7 +20,6 @@ from condvln.sources.lexicon import Lexicon
 from condvln.sources.replicacad import ReplicaCadSource
 from condvln.sources.scene_dataset import SceneDataset, Template
 from condvln.sources.scene_instance import Placed
-from schemas.errors import FormatError
 
 __all__ = ["HssdSource"]
 
@@ -79,20 +77,5 @@ def _categories(data: bytes, where: str) -> Mapping[str, str]:
     ------
     FormatError : the table is not text in UTF-8, or lacks a column
     """
-    try:
-        rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
-        columns = rows.fieldnames or ()
-        missing = [name for name in ("id", "main_category") if name not in columns]
-        if missing:
-            raise FormatError(
-                f"the table has no column {' and no column '.join(missing)}",
-                where=where,
-                place="line 1",
-                remedy="Download the table again",
-            )
-        found = {row["id"]: (row["main_category"] or "").strip() for row in rows}
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FormatError(
-            f"not a table of comma-separated values: {error}", where=where, remedy="Download the table again"
-        ) from None
-    return {name: category for name, category in found.items() if name and category}
+    rows = csv_columns(data, ("id", "main_category"), where)
+    return {name: category for name, category in rows if name and category}

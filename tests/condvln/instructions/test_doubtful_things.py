@@ -191,11 +191,12 @@ BOWL = replace(thing("bowl", "bowl", (-0.415, 1.04, 0.91), (-0.045, 1.24, 1.23))
         ("bowl", (-0.415, 1.04, 0.91), False),  # between the kitchen and the dining room of Gibson's Benevolence
         ("bowl", (-0.415, 1.04, 0.938), False),
         ("bowl", (-0.415, 1.04, 0.939), True),  # less than a tenth of it
-        ("bathtub", (-0.415, 1.04, 0.91), True),  # built in: its room is known
+        ("bathtub", (-0.415, 0.04, 0.91), True),  # built in: its room is known
     ],
 )
 def test_a_thing_on_the_border_of_two_rooms_belongs_to_none(label: str, low: Point, own: bool) -> None:
-    high = (low[0] + 0.37, low[1] + 0.2, low[2] + 0.32)
+    size = {"bowl": (0.37, 0.2, 0.32), "bathtub": (0.7, 0.5, 1.5)}[label]
+    high = (low[0] + size[0], low[1] + size[1], low[2] + size[2])
     bowl = replace(thing("bowl", label, low, high), room_id="dining")
     table = replace(thing("table", "dining table", (-1, 0, 2), (1, 0.8, 3)), room_id="dining")
     fridge = replace(thing("fridge", "refrigerator", (-1.9, 0, -1.9), (-1, 1.8, -1)), room_id="kitchen")

@@ -141,7 +141,7 @@ def scan(cut_at: float, *, gap: float = 0.0, raise_by: float = 0.0, level: int =
 
     left = box("left", "r0", "refrigerator", [-0.4, 0.0, 0.0], [cut_at, 1.8, 0.7])
     right = box("right", "r1", "refrigerator", [cut_at + gap, raise_by, 0.0], [0.4, 1.8 + raise_by, 0.7])
-    chair = box("chair", "r1", "chair", [0.4, 0.0, 0.0], [0.8, 1.8, 0.7])
+    chair = box("chair", "r1", "chair", [0.4, 0.0, 0.0], [0.8, 0.9, 0.7])
     scene = Scene("mp3d", "scan", Path(), rooms, (left, right, chair))
     said = type("Warned", (), {"code": "object_cut", "where": "left"})()
     return replace(scene, warnings=(said,)) if warned else scene
