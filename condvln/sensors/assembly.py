@@ -30,6 +30,9 @@ NO_WALLS: Final = "incomplete: walls are unknown, so rooms are visible through t
 OWNERS_BY_BOX: Final = "instances: the scan's mesh has no object ids; a surface belongs to the smallest box around it"
 SIDES: Final = (0.86, 1.0, 0.72)
 """Brightness of the faces of a drawn box that face along x, y and z, so that its edges are visible."""
+HELD: Final = 0.05
+"""Least share of a thing's box within a larger box for which the larger box is drawn open. Lines of sight to what is in a
+box are not blocked by it, and a thing counts as seen from the same share on."""
 OFF_FLOOR: Final = 0.15
 """Height in metres above the bottom of a piece of furniture from which a thing in its box is on it, not under it."""
 NAMED: Final = 3
@@ -166,9 +169,9 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
 
 
 def _holders(objects: Sequence[SceneObject]) -> dict[int, float]:
-    """Return the indices of the objects whose boxes contain the centre of a smaller object, each with the height in
-    metres on which the lowest of these rests, such as that of a seat; infinite if all are on the floor. A smaller
-    object in a shut container does not count.
+    """Return the indices of the objects whose boxes contain at least the share `HELD` of a smaller object's box, each
+    with the height in metres on which the lowest of these rests, such as that of a seat; infinite if all are on the
+    floor. A smaller object in a shut container does not count.
     """
     found: dict[int, float] = {}
     boxes = np.array([np.full((2, 3), np.nan) if o.box is None else o.box for o in objects]).reshape(-1, 2, 3)
@@ -176,8 +179,12 @@ def _holders(objects: Sequence[SceneObject]) -> dict[int, float]:
     raised = boxes[:, 0, 1]
     for number, item in enumerate(objects):
         if not item.hidden and item.box is not None:
-            around = ((boxes[:, 0] <= item.center) & (boxes[:, 1] >= item.center)).all(axis=1)
-            for holder in np.flatnonzero(around & (volume > volume[number])).tolist():
+            low, high = boxes[number]
+            # A flat box lies wholly in another one along its thin axis, or not at all.
+            thin = np.maximum(high - low, 1e-9)
+            within = (np.minimum(boxes[:, 1], low + thin) - np.maximum(boxes[:, 0], low)) / thin
+            held = np.maximum(within, 0.0).prod(axis=1) >= HELD
+            for holder in np.flatnonzero(held & (volume > volume[number])).tolist():
                 rests = float(raised[number]) if raised[number] - raised[holder] > OFF_FLOOR else np.inf
                 found[holder] = min(rests, found.get(holder, np.inf))
     return found

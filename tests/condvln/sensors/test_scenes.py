@@ -155,6 +155,26 @@ def test_what_is_on_a_seat_is_seen_from_above_and_what_is_under_a_table_is_not(
     assert (frame.instance == 1).any()
 
 
+@pytest.mark.parametrize(("deep", "is_seen"), [(0.25, True), (0.02, False)])
+def test_what_is_partly_in_a_larger_box_is_seen_through_it(worlds: dict[str, World], deep: float, is_seen: bool) -> None:
+    """A book stands behind a plant, partly within its box: lines of sight to that part are free, so it has pixels."""
+    scene = worlds["procthor"].scene
+    room = scene.rooms[0]
+    centre = np.array([0.0, room.floor_y, 0.0])
+
+    def thing(name: str, word: str, middle: F64, size: F64) -> SceneObject:
+        box = np.array([middle - size / 2, middle + size / 2])
+        return replace(scene.objects[0], object_id=name, label=word, center=middle, aabb=box, obb=None, hidden=False,
+                       room_id=room.room_id)  # fmt: skip
+
+    size = np.array([0.3, 0.3, 0.2])
+    plant = thing("a", "plant", centre + np.array([0.0, 1.25, 0.0]), np.array([0.6, 0.6, 0.6]))
+    book = thing("b", "book", centre + np.array([0.0, 1.25, -0.3 - size[2] * (0.5 - deep)]), size)
+    frame = open_renderer(replace(scene, objects=(plant, book)), None).look(CAMERA, centre + np.array([0.0, 0.0, 2.0]))
+    assert (frame.instance == 1).any()
+    assert bool((frame.instance == 2).any()) == is_seen
+
+
 def test_equal_scenes_give_equal_images(worlds: dict[str, World], tmp_path: Path) -> None:
     world = worlds["replicacad"]
     one, other = (open_renderer(world.scene, world.geometry) for _ in range(2))
