@@ -27,11 +27,9 @@ from schemas.config import CameraConfig, InstructionsConfig
 from schemas.evaluation import ManifestEpisode
 from schemas.program import CATEGORIES, Condition
 
-REAL: Final = Path(
-    os.environ.get("CONDVLN_REAL_DATA", Path(__file__).resolve().parents[1].parent / "shared" / "data")
-)
-PER_CATEGORY: Final = int(os.environ.get("CONDVLN_EVIDENCE", "6"))
-SCANNED: Final = {"ithor": 7, "procthor": 20, "replicacad": 4}
+REAL: Final = Path(os.environ.get("CONDVLN_REAL_DATA", Path(__file__).resolve().parents[1].parent / "shared" / "data"))
+PER_CATEGORY: Final = int(os.environ.get("CONDVLN_EVIDENCE", "16"))
+SCANNED: Final = {"ithor": 7, "procthor": 40, "replicacad": 6}
 MADE: Final = {"ithor": 4, "procthor": 8, "replicacad": 8}
 PIXELS: Final = (224, 896)
 DIRECTIONS: Final = 8
@@ -99,7 +97,9 @@ def main() -> None:
     report("all", total)
 
 
-def tell(world: World, row: ManifestEpisode, condition: Condition, coarse: dict[int, int], fine: dict[int, int]) -> None:
+def tell(
+    world: World, row: ManifestEpisode, condition: Condition, coarse: dict[int, int], fine: dict[int, int]
+) -> None:
     """Print a condition that has no pixels."""
     number = {item.object_id: k + 1 for k, item in enumerate(world.scene.objects)}
     anchors = () if condition.qualifier is None else condition.qualifier.anchor_ids
@@ -108,8 +108,8 @@ def tell(world: World, row: ManifestEpisode, condition: Condition, coarse: dict[
         away = np.round(np.asarray(item.center) - np.asarray(row.start_position), 2)
         pixels = coarse.get(number[name], 0), fine.get(number[name], 0)
         size = None if item.box is None else np.round(item.box[1] - item.box[0], 3).tolist()
-        sys.stdout.write(f"  {world.scene.scene_id} {row.episode_id}: {item.label} {name}, size {size}, at {away.tolist()} "
-                         f"from the start, pixels {pixels}\n")  # fmt: skip
+        place = f"{world.scene.scene_id} {row.episode_id}: {item.label} {name}"
+        sys.stdout.write(f"  {place}, size {size}, at {away.tolist()} from the start, pixels {pixels}\n")
 
 
 def report(name: str, table: np.ndarray) -> None:

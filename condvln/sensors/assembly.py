@@ -31,8 +31,9 @@ OWNERS_BY_BOX: Final = "instances: the scan's mesh has no object ids; a surface 
 SIDES: Final = (0.86, 1.0, 0.72)
 """Brightness of the faces of a drawn box that face along x, y and z, so that its edges are visible."""
 HELD: Final = 0.05
-"""Least share of a thing's box within a larger box for which the larger box is drawn open. Lines of sight to what is in a
-box are not blocked by it, and a thing counts as seen from the same share on."""
+"""Least share of a thing's box within a larger box for which the larger box is drawn open. Lines of sight to what is in
+a box are not blocked by it, and a thing counts as seen from the same share on.
+"""
 OFF_FLOOR: Final = 0.15
 """Height in metres above the bottom of a piece of furniture from which a thing in its box is on it, not under it."""
 NAMED: Final = 3

@@ -151,7 +151,7 @@ class FrameStage(Stage):
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     keep: bool = True
     name: str = "frames"
-    version: int = 3
+    version: int = 4
     tables: tuple[str, ...] = ("poses",)
     reads: tuple[str, ...] | None = ("steps",)
     reads_inputs: bool = True

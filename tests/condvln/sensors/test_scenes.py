@@ -156,7 +156,9 @@ def test_what_is_on_a_seat_is_seen_from_above_and_what_is_under_a_table_is_not(
 
 
 @pytest.mark.parametrize(("deep", "is_seen"), [(0.25, True), (0.02, False)])
-def test_what_is_partly_in_a_larger_box_is_seen_through_it(worlds: dict[str, World], deep: float, is_seen: bool) -> None:
+def test_what_is_partly_in_a_larger_box_is_seen_through_it(
+    worlds: dict[str, World], deep: float, is_seen: bool
+) -> None:
     """A book stands behind a plant, partly within its box: lines of sight to that part are free, so it has pixels."""
     scene = worlds["procthor"].scene
     room = scene.rooms[0]
