@@ -90,6 +90,11 @@ def _composed(family: str) -> bool:
     return family in FAMILIES and FAMILIES[family].composed
 
 
+def _single_file(family: str) -> str:
+    """Return the form of the paths at which episodes expect the scenes of a family, below the folder of datasets."""
+    return scene_file(family, FAMILIES[family].scene_form if family in FAMILIES else "<scene>")
+
+
 def _known(config: Config) -> dict[Name, Source | InputError]:
     """Return, for the name of each scene that can be composed, the source to read it from, or the error that listing
     the scene raised.
@@ -241,7 +246,7 @@ def _report(done: _Done, folder: Path, origin: str) -> Report:
     lines += [f"{scene}: {message.removeprefix(f'{scene}: ')}" for scene, message in done.failures.items()]
     lines += [
         f"Scenes of {FAMILIES[family].name if family in FAMILIES else family} are one file each: put the dataset's own "
-        f"at {folder / scene_file(family, '<scene>')}"
+        f"at {folder / _single_file(family)}"
         for family in done.single_files
     ]
     for key, what in (("left_out", "objects whose surfaces are not known"), ("textures_left_out", "textures")):

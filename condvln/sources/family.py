@@ -39,6 +39,7 @@ class Family:
     official_split : returns a scene's group from the authors' lists; None if there are none
     scene_file : ``scene_id`` of a VLN-CE episode below the folder of scene datasets; ``{scene}`` is the scene's id,
         ``{name}`` the id without its folder, ``{scan}`` the part of the name after its first hyphen
+    scene_form : form of a scene's id, for messages that tell where a file of this family is
     always_placed : every scene gets a navmesh, built from its walls or its reachable positions
     costs_like : the family whose measured costs are used for first estimates
     licensed : the terms forbid to pass on images of its scenes; each user gets a copy from the owner
@@ -50,6 +51,7 @@ class Family:
     composed: bool = False
     official_split: Callable[[str], SplitGroup | None] = _unlisted
     scene_file: str = "{family}/{scene}/{name}.glb"
+    scene_form: str = "<scene>"
     always_placed: bool = False
     costs_like: str | None = None
     licensed: bool = False
@@ -134,6 +136,7 @@ FAMILIES: Final[dict[str, Family]] = {
         "al., Habitat-Matterport 3D Semantics Dataset, CVPR 2023",
         official_split=_hm3d_split,
         scene_file="{family}/{scene}/{scan}.basis.glb",
+        scene_form="<split>/<number>-<scan>",
         costs_like="gibson",
         licensed=True,
     ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import shutil
 import weakref
 from pathlib import Path
@@ -13,7 +14,9 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
+from condvln.export.vlnce import scene_file
 from condvln.samples import make_layouts, make_samples, write_replicacad
+from condvln.sources.family import FAMILIES
 from jobs import compose_all as module
 from jobs.command import app
 from jobs.compose_all import compose_all
@@ -173,6 +176,32 @@ def test_without_an_export_the_sources_tell_and_scans_stay_as_they_are(houses: C
     assert [entry["scene"] for entry in report.document["composed"]] == [f"procthor/houses-{k}" for k in range(3)]
     assert theirs.read_bytes() == (tmp_path / "scans/made_000/made_000.glb").read_bytes()
     assert [p.name for p in (tmp_path / "scenes/mp3d").rglob("*") if p.is_file()] == ["made_000.glb"]
+
+
+def test_the_place_of_a_scan_is_told_as_its_episodes_name_it(tmp_path: Path) -> None:
+    """HM3D's folder is ``<number>-<scan>``, and only the scan's own name is that of the file."""
+    source = source_of("hm3d", tmp_path / "scans", 1)
+    told(config := config_of(tmp_path, source), "hm3d/val/00800-TEEsavR23oF")
+    report = compose_all(config, tmp_path / "scenes")
+    assert report.document["single_files"] == ["hm3d"]
+    (line,) = [line for line in report.lines if "one file each" in line]
+    pattern = line.rpartition("scenes/")[2]
+    assert pattern == "hm3d/<split>/<number>-<scan>/<scan>.basis.glb"
+    for word, value in (("<split>", "val"), ("<number>", "00800"), ("<scan>", "TEEsavR23oF")):
+        pattern = pattern.replace(word, value)
+    assert pattern == scene_file("hm3d", "val/00800-TEEsavR23oF")
+
+
+@pytest.mark.parametrize("family", sorted(name for name, family in FAMILIES.items() if not family.composed))
+def test_every_scan_is_told_at_the_place_that_its_id_gives(family: str) -> None:
+    """What stands for the id is split by the same rule as an id, so no part of it is taken for another."""
+    told = scene_file(family, FAMILIES[family].scene_form)
+    names = re.findall(r"<(\w+)>", FAMILIES[family].scene_form)
+    spelled = FAMILIES[family].scene_form
+    for name in names:
+        spelled = spelled.replace(f"<{name}>", f"a{name}")
+        told = told.replace(f"<{name}>", f"a{name}")
+    assert told == scene_file(family, spelled)
 
 
 def test_one_scene_is_in_memory(houses: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
