@@ -26,6 +26,7 @@ from factory.index import Index
 from factory.snapshot import Snapshot
 from jobs.configuration import load_config
 from jobs.generate import run_generate
+from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
 from jobs.workspace import published
 from schemas.benchmark import BenchmarkCell, BenchmarkFile, BenchmarkRecord, BenchmarkScene
@@ -86,9 +87,11 @@ def build_benchmark(
 
     Raises
     ------
+    UsageError : the benchmark file is of a final version, and the stages of this installation have other versions
     CondVLNError : from the run
     """
     benchmark = Benchmark.read(path, overrides)
+    _refuse_other_stages(path, benchmark)
     report = run_generate(benchmark.config, inline=inline, console=console)
     if report.exit_code not in (0, ProofError.exit_code):
         return report
@@ -101,7 +104,7 @@ def build_benchmark(
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
         f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
-        *_version_lines(benchmark.file.stages, record.stages),
+        *_version_lines(benchmark.file.stages, record.stages, "in the draft's file"),
     ]
     lines += short
     rows = [(c.split, c.source, c.category, c.episodes, c.shortfall) for c in record.cells]
@@ -148,7 +151,7 @@ def check_benchmark(
         f"the same snapshot as published: {theirs.snapshot_id}"
         if same
         else f"ANOTHER SNAPSHOT: {snapshot.snapshot_id} here, {theirs.snapshot_id} published",
-        *_version_lines(theirs.stages, stages),
+        *_version_lines(theirs.stages, stages, "published"),
         *_key_lines(theirs.configuration, _portable(benchmark.config)),
     ]
     if differences:
@@ -301,9 +304,32 @@ def _differences(theirs: BenchmarkRecord, snapshot: Snapshot) -> Iterator[tuple[
                 yield scene, "; ".join(filter(None, (files or "its files are the same", rows)))
 
 
-def _version_lines(frozen: Mapping[str, int], here: Mapping[str, int]) -> list[str]:
-    other = [f"{name} {here.get(name)} (frozen: {frozen.get(name)})" for name in here if here[name] != frozen.get(name)]
-    return [f"other versions of stages: {', '.join(other)}"] if other else []
+def _refuse_other_stages(path: Path, benchmark: Benchmark) -> None:
+    """Raise an error if the stages of this installation can't make the final version that the file freezes."""
+    here = {stage.name: stage.version for stage in build_pipeline(benchmark.config).stages}
+    if not benchmark.file.draft and here != benchmark.file.stages:
+        name = f"{benchmark.file.benchmark} {benchmark.file.version}"
+        raise UsageError(
+            f"{name} can't be built with this release, whose stages have other versions: "
+            f"{_other_versions(benchmark.file.stages, here, f'in {name}')}",
+            where=str(path),
+            place="stages",
+            remedy=f"Install the release that has {name}, or take the benchmark file of this release.",
+        )
+
+
+def _other_versions(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> str:
+    names = [*here, *(name for name in theirs if name not in here)]
+    return ", ".join(
+        f"{name} {here.get(name, 'none')} ({where}: {theirs.get(name, 'none')})"
+        for name in names
+        if here.get(name) != theirs.get(name)
+    )
+
+
+def _version_lines(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> list[str]:
+    other = _other_versions(theirs, here, where)
+    return [f"other versions of stages: {other}"] if other else []
 
 
 def _key_lines(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
