@@ -29,7 +29,7 @@ from jobs.generate import run_generate
 from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
 from jobs.workspace import published
-from schemas.benchmark import BenchmarkCell, BenchmarkFile, BenchmarkRecord, BenchmarkScene
+from schemas.benchmark import BenchmarkCell, BenchmarkFile, BenchmarkRecord, BenchmarkScene, BenchmarkSource
 from schemas.config import Config
 from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
 
@@ -105,13 +105,17 @@ def build_benchmark(
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
         f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
         *_version_lines(benchmark.file.stages, record.stages, "in the draft's file"),
+        *_part_lines(benchmark.file, record),
     ]
     lines += short
+    whole = benchmark.file.scenes
+    yields = [(name, f.scenes, whole.get(name), f.instructions, f.episodes) for name, f in record.sources.items()]
+    sources = Section("Sources", ("source", "scenes", "in whole copies", "instructions", "episodes"), [*yields])
     rows = [(c.split, c.source, c.category, c.episodes, c.shortfall) for c in record.cells]
     cells = Section("Cells", ("split", "source", "category", "episodes", "below the floor"), [*rows])
     document = record.model_dump(mode="json", exclude={"scenes"})
     code = ProofError.exit_code if short else report.exit_code
-    return Report(document, [*lines, *report.lines], [cells, *report.sections], code)
+    return Report(document, [*lines, *report.lines], [sources, cells, *report.sections], code)
 
 
 def check_benchmark(
@@ -196,10 +200,7 @@ def _short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
     of each split that are below the floor.
     """
     if record.instructions < file.instructions:
-        yield (
-            f"SHORT: {record.instructions:,} instructions of {file.instructions:,}; sources of this copy: "
-            f"{', '.join(sorted({scene.split('/')[0] for scene in record.scenes}))}"
-        )
+        yield f"SHORT: {record.instructions:,} instructions of {file.instructions:,}"
     for split in file.splits:
         cells = [cell for cell in record.cells if cell.split == split]
         short = [cell for cell in cells if cell.shortfall]
@@ -212,6 +213,19 @@ def _short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
             f"SHORT: split {split}: {len(short)} of {len(cells)} cells have fewer than {file.floor} episodes"
             f"{': ' if named else ''}{named}{none}"
         )
+
+
+def _part_lines(file: BenchmarkFile, record: BenchmarkRecord) -> list[str]:
+    """Return a report line about the families of which scenes are missing; no line if there are none."""
+    found = [(name, whole, record.sources.get(name)) for name, whole in file.scenes.items()]
+    parts = [
+        f"{name} {here.scenes if here is not None else 0} of {whole} scenes"
+        for name, whole, here in found
+        if here is None or here.scenes < whole
+    ]
+    if not parts:
+        return []
+    return [f"a build of a part of the scenes, with another id than the whole: {', '.join(parts)}"]
 
 
 def _encoded(record: BenchmarkRecord) -> bytes:
@@ -235,6 +249,12 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
     counts = Counter(dict.fromkeys(product(file.splits, families, categories), 0))
     for cell in index["cells"]:
         counts[cell["split"], cell["source"], cell["category"]] += cell["selected"]
+    scenes = dict(_scenes(snapshot))
+    instructions = snapshot.manifest.tables["instructions"]
+    processed = Counter(name.partition("/")[0] for name, scene in scenes.items() if scene.status == "ok")
+    exported: Counter[str] = Counter()
+    for (_, family, _), selected in counts.items():
+        exported[family] += selected
     return BenchmarkRecord(
         benchmark=file.benchmark,
         version=file.version,
@@ -243,15 +263,23 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
         export_digest=index["digest"],
         stages={name: totals.version for name, totals in snapshot.manifest.stages.items()},
         configuration=_portable(benchmark.config),
-        instructions=snapshot.manifest.tables["instructions"].rows,
+        instructions=instructions.rows,
         episodes=index["episodes"],
+        sources={
+            family: BenchmarkSource(
+                scenes=processed[family],
+                instructions=instructions.partitions[family].rows if family in instructions.partitions else 0,
+                episodes=exported[family],
+            )
+            for family in families
+        },
         cells=[
             BenchmarkCell(
                 split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n) if s in file.splits else 0
             )
             for (s, f, c), n in counts.items()
         ],
-        scenes=dict(_scenes(snapshot)),
+        scenes=scenes,
     )
 
 

@@ -15,6 +15,7 @@ __all__ = [
     "BenchmarkFile",
     "BenchmarkRecord",
     "BenchmarkScene",
+    "BenchmarkSource",
     "Leaderboard",
     "LeaderboardRow",
     "MeasuredMean",
@@ -45,6 +46,10 @@ class BenchmarkFile(Document):
         min_length=1,
         description="splits in which every cell must reach the floor",
     )
+    scenes: dict[str, Count] = Field(
+        default_factory=dict,
+        description="number of scenes that whole copies of the datasets have, by family; a build with fewer says so",
+    )
     stages: dict[str, int] = Field(description="version of each stage")
 
 
@@ -56,6 +61,14 @@ class BenchmarkCell(Document):
     category: str
     episodes: Count
     shortfall: Count = Field(description="number of episodes by which the cell is below the floor")
+
+
+class BenchmarkSource(Document):
+    """The yield of the scenes of one family."""
+
+    scenes: Count = Field(description="number of scenes that were processed")
+    instructions: Count
+    episodes: Count = Field(description="number of episodes in all splits of the export")
 
 
 class BenchmarkScene(Document):
@@ -79,6 +92,9 @@ class BenchmarkRecord(VersionedDocument):
     configuration: dict[str, Any] = Field(description="configuration keys that affect rows; no paths of this machine")
     instructions: Count
     episodes: dict[str, Count]
+    sources: dict[str, BenchmarkSource] = Field(
+        default_factory=dict, description="yield of each family; empty in records of former drafts"
+    )
     cells: list[BenchmarkCell]
     scenes: dict[str, BenchmarkScene]
 

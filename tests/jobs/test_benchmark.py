@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from typing import Any
 import pytest
 import yaml
 
-from condvln.export.splits import SPLITS
+from condvln.export.splits import SPLITS, scene_group
 from condvln.samples import make_samples
+from condvln.sources.scene_choice import SceneChoice
 from jobs.benchmark import RECORD, Benchmark, build_benchmark, check_benchmark, read_record
 from jobs.evaluate import walk_split
 from jobs.leaderboard import REFERENCES, score_benchmark
@@ -86,9 +88,29 @@ def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> N
         assert cell.shortfall == max(0, 5 - cell.episodes)
         said = f"SHORT: split {cell.split}: 1 of 1 cells have fewer than 5 episodes"
         assert any(line.startswith(said) for line in report.lines) == bool(cell.shortfall)
+    (source,) = record.sources.items()
+    assert (source[0], source[1].scenes) == ("replicacad", 2)
+    assert source[1].instructions == record.instructions
+    assert source[1].episodes == sum(exported["episodes"].values())
     assert any("split test" in line and line.endswith("; nothing from replicacad") for line in report.lines)
     text = (path.parent / "export" / RECORD).read_text()
     assert str(path.parent) not in text, "a record holds no path of the machine"
+
+
+def test_a_build_of_a_part_of_the_scenes_says_so(built: tuple[Path, Any], tmp_path: Path) -> None:
+    path, report = built
+    assert not any("a part of the scenes" in line for line in report.lines), "the file names no whole copies"
+    (table,) = [section for section in report.sections if section.title == "Sources"]
+    record = read_record(path.parent / "export")
+    found = record.sources["replicacad"]
+    assert table.rows == [("replicacad", 2, None, found.instructions, found.episodes)]
+    folder = shutil.copytree(path.parent, tmp_path / "copy")
+    document = yaml.safe_load((folder / "benchmark.yaml").read_text())
+    for whole, said in (({"replicacad": 2}, None), ({"replicacad": 3, "mp3d": 90}, "mp3d 0 of 90, replicacad 2 of 3")):
+        (folder / "benchmark.yaml").write_text(yaml.safe_dump({**document, "scenes": whole}))
+        lines = [line for line in build_benchmark(folder / "benchmark.yaml", inline=True).lines if "a part of" in line]
+        assert [line.partition(": ")[2].replace(" scenes", "") for line in lines] == ([said] if said else [])
+    assert read_record(folder / "export") == record, "the record does not depend on it"
 
 
 def test_a_build_that_reaches_its_floors_exits_with_zero(built: tuple[Path, Any], tmp_path: Path) -> None:
@@ -238,6 +260,21 @@ def test_the_shipped_benchmark_says_whether_it_is_a_draft(pytestconfig: pytest.C
     benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
     assert benchmark.file.draft == benchmark.file.version.endswith("-draft")
     assert benchmark.file.instructions == 11_500
+
+
+def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_split(
+    pytestconfig: pytest.Config,
+) -> None:
+    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
+    (source,) = [one for one in benchmark.config.sources if one.family == "procthor"]
+    choice = SceneChoice(source.scenes, source.exclude)
+    taken: Counter[tuple[str, str]] = Counter()
+    for file, houses in (("train", 10_000), ("val", 1_000), ("test", 1_000)):
+        for name in (f"{file}-{k}" for k in range(houses)):
+            if choice.wanted(name):
+                taken[file, scene_group("procthor", name, benchmark.config.splits)] += 1
+    assert taken == {("train", "train"): 100, ("val", "val_unseen"): 30, ("test", "test"): 30}
+    assert sum(taken.values()) == benchmark.file.scenes["procthor"]
 
 
 @pytest.mark.ray
