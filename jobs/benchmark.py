@@ -8,7 +8,7 @@ and compares: equal ids, or the scenes that differ and why.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -21,15 +21,25 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from condvln.export.contents import read_index
+from condvln.export.splits import SPLITS
 from condvln.formats.streams import atomic_stream
+from condvln.manifest.manifest import manifest_path, read_manifest
 from factory.index import Index
 from factory.snapshot import Snapshot
+from jobs.benchmark_tables import cell_table, part_lines, short_lines, source_table, stop_table
 from jobs.configuration import load_config
 from jobs.generate import run_generate
 from jobs.pipeline import build_pipeline
 from jobs.report import Report, Section
 from jobs.workspace import published
-from schemas.benchmark import BenchmarkCell, BenchmarkFile, BenchmarkRecord, BenchmarkScene, BenchmarkSource
+from schemas.benchmark import (
+    BenchmarkCell,
+    BenchmarkFile,
+    BenchmarkRecord,
+    BenchmarkScene,
+    BenchmarkSource,
+    BenchmarkStops,
+)
 from schemas.config import Config
 from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
 
@@ -100,22 +110,22 @@ def build_benchmark(
     assert export is not None
     with atomic_stream(export / RECORD) as stream:
         stream.write(_encoded(record))
-    short = list(_short_lines(benchmark.file, record))
+    short = list(short_lines(benchmark.file, record))
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
         f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
         *_version_lines(benchmark.file.stages, record.stages, "in the draft's file"),
-        *_part_lines(benchmark.file, record),
+        *part_lines(benchmark.file, record),
     ]
     lines += short
-    whole = benchmark.file.scenes
-    yields = [(name, f.scenes, whole.get(name), f.instructions, f.episodes) for name, f in record.sources.items()]
-    sources = Section("Sources", ("source", "scenes", "in whole copies", "instructions", "episodes"), [*yields])
-    rows = [(c.split, c.source, c.category, c.episodes, c.shortfall) for c in record.cells]
-    cells = Section("Cells", ("split", "source", "category", "episodes", "below the floor"), [*rows])
+    tables = [
+        source_table(benchmark.file, record),
+        cell_table(benchmark.file, record),
+        stop_table(benchmark.config, record),
+    ]
     document = record.model_dump(mode="json", exclude={"scenes"})
     code = ProofError.exit_code if short else report.exit_code
-    return Report(document, [*lines, *report.lines], [sources, cells, *report.sections], code)
+    return Report(document, [*lines, *report.lines], [*tables, *report.sections], code)
 
 
 def check_benchmark(
@@ -195,37 +205,16 @@ def read_record(path: Path) -> BenchmarkRecord:
         ) from None
 
 
-def _short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
-    """Yield report lines about what the benchmark lacks: the number of instructions if there are too few, and the cells
-    of each split that are below the floor.
-    """
-    if record.instructions < file.instructions:
-        yield f"SHORT: {record.instructions:,} instructions of {file.instructions:,}"
-    for split in file.splits:
-        cells = [cell for cell in record.cells if cell.split == split]
-        short = [cell for cell in cells if cell.shortfall]
-        empty = sorted({c.source for c in cells} - {c.source for c in cells if c.episodes})
-        if not short:
-            continue
-        named = ", ".join(f"{c.source} {c.category} {c.episodes}" for c in short if c.source not in empty)
-        none = f"; nothing from {', '.join(empty)}" if empty else ""
-        yield (
-            f"SHORT: split {split}: {len(short)} of {len(cells)} cells have fewer than {file.floor} episodes"
-            f"{': ' if named else ''}{named}{none}"
-        )
-
-
-def _part_lines(file: BenchmarkFile, record: BenchmarkRecord) -> list[str]:
-    """Return a report line about the families of which scenes are missing; no line if there are none."""
-    found = [(name, whole, record.sources.get(name)) for name, whole in file.scenes.items()]
-    parts = [
-        f"{name} {here.scenes if here is not None else 0} of {whole} scenes"
-        for name, whole, here in found
-        if here is None or here.scenes < whole
-    ]
-    if not parts:
-        return []
-    return [f"a build of a part of the scenes, with another id than the whole: {', '.join(parts)}"]
+def _stops(export: Path) -> list[BenchmarkStops]:
+    """Count the stops before the goals of all leaves of an export, gold or not."""
+    found = []
+    for split in SPLITS:
+        counts: defaultdict[int, Counter[int]] = defaultdict(Counter)
+        path = manifest_path(export, split)
+        for row in read_manifest(path) if path.is_file() else ():
+            counts[len(row.leaves)].update(len(leaf.subgoals) for leaf in row.leaves)
+        found += [BenchmarkStops(split=split, leaves=n, stops=(c[0], c[1], c[2])) for n, c in sorted(counts.items())]
+    return found
 
 
 def _encoded(record: BenchmarkRecord) -> bytes:
@@ -273,6 +262,7 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
             )
             for family in families
         },
+        stops=_stops(benchmark.config.export),
         cells=[
             BenchmarkCell(
                 split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n) if s in file.splits else 0

@@ -16,6 +16,7 @@ __all__ = [
     "BenchmarkRecord",
     "BenchmarkScene",
     "BenchmarkSource",
+    "BenchmarkStops",
     "Leaderboard",
     "LeaderboardRow",
     "MeasuredMean",
@@ -71,6 +72,14 @@ class BenchmarkSource(Document):
     episodes: Count = Field(description="number of episodes in all splits of the export")
 
 
+class BenchmarkStops(Document):
+    """How many stops the leaves of one split have before their goal, among programs with equally many leaves."""
+
+    split: str
+    leaves: Annotated[int, Field(ge=2, description="number of leaves of the programs")]
+    stops: tuple[Count, Count, Count] = Field(description="number of leaves with no, one and two stops")
+
+
 class BenchmarkScene(Document):
     """The source and the result of one scene."""
 
@@ -94,6 +103,9 @@ class BenchmarkRecord(VersionedDocument):
     episodes: dict[str, Count]
     sources: dict[str, BenchmarkSource] = Field(
         default_factory=dict, description="yield of each family; empty in records of former drafts"
+    )
+    stops: list[BenchmarkStops] = Field(
+        default_factory=list, description="stops before the goals of all leaves; empty in records of former drafts"
     )
     cells: list[BenchmarkCell]
     scenes: dict[str, BenchmarkScene]

@@ -113,6 +113,26 @@ def test_a_build_of_a_part_of_the_scenes_says_so(built: tuple[Path, Any], tmp_pa
     assert read_record(folder / "export") == record, "the record does not depend on it"
 
 
+def test_a_build_tells_every_cell_and_the_stops_before_the_goals(built: tuple[Path, Any]) -> None:
+    path, report = built
+    record = read_record(path.parent / "export")
+    tables = {section.title: section for section in report.sections}
+    assert [row[:2] for row in tables["Episodes"].rows] == [(split, "replicacad") for split in SPLITS]
+    for cell, row in zip(record.cells, tables["Episodes"].rows, strict=True):
+        assert row[2:] == ((f"{cell.episodes} of 5" if cell.episodes < 5 else cell.episodes),)
+    counted: Counter[tuple[str, int]] = Counter()
+    for split in SPLITS:
+        for line in (path.parent / "export" / "manifest" / f"{split}.jsonl").read_text().splitlines():
+            for leaf in json.loads(line)["leaves"]:
+                counted[split, len(leaf["subgoals"])] += 1
+    assert sum(counted.values()) > 0
+    assert {(one.split, k): n for one in record.stops for k, n in enumerate(one.stops) if n} == counted
+    assert {one.leaves for one in record.stops} == {2}
+    for one, row in zip(record.stops, tables["Stops before the goal"].rows, strict=True):
+        shares = " / ".join(f"{100 * n / sum(one.stops):.1f}" for n in one.stops)
+        assert row == (one.split, 2, sum(one.stops), shares, "40 / 40 / 20")
+
+
 def test_a_build_that_reaches_its_floors_exits_with_zero(built: tuple[Path, Any], tmp_path: Path) -> None:
     folder = shutil.copytree(built[0].parent, tmp_path / "copy")
     document = yaml.safe_load((folder / "benchmark.yaml").read_text())
