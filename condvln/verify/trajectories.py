@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from condvln.formats.image_files import encoders, encoders_of, jpeg, png16
 from condvln.navigation.follower import STOP, Follower
@@ -29,9 +31,10 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
 from condvln.verify.exploration import Onlooker
 from condvln.verify.training_layouts import prove_layouts
-from schemas.config import CameraConfig
+from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import FormatError, MissingFileError
 from schemas.evaluation import ManifestEpisode
+from schemas.trajectory_tables import TRAJECTORY_TABLES
 
 __all__ = ["TrajectoryFault", "TrajectoryProof", "TrajectoryWorld", "prove_trajectories"]
 
@@ -44,6 +47,9 @@ _MOST_PNG_LEVEL: Final = 3
 """Highest compression level of the encoder here. Records of Pillow's images may have a higher one, which leaves the
 pixels as they are.
 """
+_PILLOWS_PNG_LEVEL: Final = 9
+"""Highest compression level of Pillow."""
+_CAMERA_NAME: Final = re.compile(r"(rgb|depth)(\.[A-Za-z0-9_.-]{1,60})?")
 _ANGLE: Final = 1e-9
 """Largest difference in a component of two equal rotations."""
 
@@ -100,7 +106,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     MissingFileError, FormatError : the folder holds no trajectories, or a table can't be read
     """
     record = _record(folder)
-    cameras = {name: CameraConfig.model_validate(camera) for name, camera in record["cameras"].items()}
+    cameras = {name: CameraConfig(**camera) for name, camera in record["cameras"].items()}
     images = record["config"] | {"encoders": record["encoders"]}
     proof = TrajectoryProof()
     written = record["images_written"]
@@ -421,8 +427,8 @@ def _record(folder: Path) -> dict[str, Any]:
     try:
         found = orjson.loads(path.read_bytes())
         return {
-            "cameras": dict(found["cameras"]),
-            "config": dict(found["config"]),
+            "cameras": {name: _camera(name, camera) for name, camera in dict(found["cameras"]).items()},
+            "config": _config(found["config"]),
             "encoders": encoders_of(_texts(found, "libraries"), _texts(found, "encoders")),
             "layouts": list(found["layouts"]),
             "split": str(found["split"]),
@@ -431,7 +437,47 @@ def _record(folder: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"not a record of trajectories ({error})", where=path, remedy=_REMEDY) from None
+        raise FormatError(f"not a record of trajectories ({_first(error)})", where=path, remedy=_REMEDY) from None
+
+
+def _first(error: Exception) -> str:
+    """Return what is wrong in one line: of a pydantic model, the first value that is wrong."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    fault = error.errors()[0]
+    return ": ".join(filter(None, [".".join(map(str, fault["loc"])), fault["msg"]]))
+
+
+def _camera(name: str, camera: Any) -> dict[str, Any]:
+    """Return a camera of a record with all its values.
+
+    Raises
+    ------
+    ValueError : its name or a value of it can't be that of a camera
+    """
+    if not _CAMERA_NAME.fullmatch(name):
+        raise ValueError(f"cameras: {name!r} is not a name of a camera")
+    try:
+        return CameraConfig.model_validate(camera).model_dump(mode="json")
+    except ValidationError as error:
+        raise ValueError(f"cameras.{name}: {_first(error)}") from None
+
+
+def _config(config: Any) -> dict[str, Any]:
+    """Return the configuration of a record with all its values. ``png_level`` may be one of Pillow's, which go further
+    than those of the encoder here.
+
+    Raises
+    ------
+    ValueError, TypeError : a value of it is not allowed
+    """
+    level = dict(config).get("png_level")
+    high = type(level) is int and _MOST_PNG_LEVEL < level <= _PILLOWS_PNG_LEVEL
+    try:
+        valid = TrajectoryConfig.model_validate(config | {"png_level": _MOST_PNG_LEVEL} if high else config)
+    except ValidationError as error:
+        raise ValueError(f"config.{_first(error)}") from None
+    return valid.model_dump(mode="json") | ({"png_level": level} if high else {})
 
 
 def _texts(record: Row, key: str) -> dict[str, str]:
@@ -464,17 +510,29 @@ def _annotations(folder: Path) -> list[dict[str, Any]]:
 def _table(folder: Path, name: str) -> pa.Table:
     path = folder / f"{name}.parquet"
     try:
-        return pq.read_table(path)
+        found = pq.read_table(path)
+        _refuse_other_columns(found.schema, name)
+        return found
     except FileNotFoundError:
         raise MissingFileError(f"{name}.parquet is missing", where=folder, remedy=_REMEDY) from None
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"not a Parquet file ({error})", where=path, remedy=_REMEDY) from None
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise FormatError(f"not a table of walks ({error})", where=path, remedy=_REMEDY) from None
+
+
+def _refuse_other_columns(found: pa.Schema, name: str) -> None:
+    """Raise ValueError if a column of a table is missing, or of another type."""
+    for wanted in TRAJECTORY_TABLES[name]:
+        if wanted.name not in found.names:
+            raise ValueError(f"the column {wanted.name} is missing")
+        if found.field(wanted.name).type != wanted.type:
+            raise ValueError(f"the column {wanted.name} is {found.field(wanted.name).type}, not {wanted.type}")
 
 
 def _walks_of(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Yield each walk with its poses. Only one row group, which is one scene, is in memory at a time."""
     try:
         with pq.ParquetFile(path) as file:
+            _refuse_other_columns(file.schema_arrow, "poses")
             for group in range(file.num_row_groups):
                 rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
                 for row in file.read_row_group(group).to_pylist():
@@ -482,5 +540,5 @@ def _walks_of(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
                 yield from rows.items()
     except FileNotFoundError:
         raise MissingFileError("poses.parquet is missing", where=path.parent, remedy=_REMEDY) from None
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"not a Parquet file ({error})", where=path, remedy=_REMEDY) from None
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise FormatError(f"not a table of walks ({error})", where=path, remedy=_REMEDY) from None

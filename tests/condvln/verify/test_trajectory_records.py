@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from condvln.formats.image_files import png16
@@ -18,7 +21,8 @@ from condvln.trajectories.recipe import Recipe, RecipeRecord
 from condvln.verify.trajectories import _Frames, prove_trajectories
 from jobs.trajectory_recipe import encoder_lines
 from schemas.config import CameraConfig, TrajectoryConfig
-from schemas.errors import FormatError
+from schemas.errors import FormatError, MissingFileError
+from schemas.trajectory_tables import TRAJECTORIES
 
 CAMERA = CameraConfig(width=8, height=6, hfov=79.0, max_depth=None, normalized=False)
 RECORD: dict[str, Any] = {
@@ -34,6 +38,62 @@ DEPTH = np.full((6, 8), 2.0, np.float32)
 def test_a_damaged_record_is_named(part: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | part))
     with pytest.raises(FormatError, match="not a record of trajectories"):
+        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("part", "what"),
+    [
+        ({"cameras": {"rgb": {"width": 0}}}, "cameras.rgb: width"),
+        ({"cameras": {"rgb": 640}}, "cameras.rgb"),
+        ({"cameras": {"rgb": {"lens": 1}}}, "cameras.rgb: lens"),
+        ({"cameras": {"rgb/../..": {}}}, "'rgb/../..' is not a name of a camera"),
+        ({"cameras": {"rgb.\0": {}}}, "is not a name of a camera"),
+        ({"cameras": [[1, {}]]}, "not a record of trajectories"),
+        ({"cameras": "rgb"}, "not a record of trajectories"),
+        ({"config": {"png_level": "fast"}}, "config.png_level"),
+        ({"config": {"png_level": 10}}, "config.png_level"),
+        ({"config": {"png_level": -1}}, "config.png_level"),
+        ({"config": {"png_level": None}}, "config.png_level"),
+        ({"config": {"jpeg_quality": 0}}, "config.jpeg_quality"),
+        ({"config": {"walks": "gold"}}, "config.walks"),
+        ({"config": {"recoveries": []}}, "config.recoveries"),
+        ({"config": [["png_level", 9]]}, "not a record of trajectories"),
+        ({"config": 3}, "not a record of trajectories"),
+    ],
+)
+def test_a_camera_or_a_configuration_that_cant_be_is_named(part: dict[str, Any], what: str, tmp_path: Path) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | part))
+    with pytest.raises(FormatError, match=re.escape(what)) as found:
+        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
+    assert "trajectories.json" in str(found.value)
+
+
+def test_older_levels_and_keys_of_a_record_are_no_fault(tmp_path: Path) -> None:
+    """The next thing that is missing is a file, not a value of the record."""
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"config": {"png_level": 9}}))
+    with pytest.raises(MissingFileError, match="annotations"):
+        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("columns", "what"),
+    [
+        ({"n_frames": None}, "the column n_frames is missing"),
+        ({"actions": pa.list_(pa.float32())}, "the column actions is list<"),
+    ],
+)
+def test_a_column_that_is_missing_or_of_another_type_is_named(
+    columns: dict[str, pa.DataType | None], what: str, tmp_path: Path
+) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"images_written": False}))
+    fields = [
+        field.with_type(columns.get(field.name, field.type))
+        for field in TRAJECTORIES
+        if columns.get(field.name, field) is not None
+    ]
+    pq.write_table(pa.schema(fields).empty_table(), tmp_path / "trajectories.parquet")
+    with pytest.raises(FormatError, match=re.escape(what)):
         prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
 
 
