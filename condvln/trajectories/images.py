@@ -207,9 +207,15 @@ def _replace(part: Path, target: Path) -> None:
 
 
 def clear_parts(folder: Path) -> None:
-    """Remove the unfinished image folders that killed writers left behind."""
+    """Remove the unfinished image folders, layouts and files that killed writers left behind."""
     for left in (folder / IMAGES).glob(f"{_PART}*"):
         shutil.rmtree(left, ignore_errors=True)
+    # Layouts and tables are in the folder itself; some layouts write one file in a folder of its own.
+    for left in (*folder.glob(".*.part"), *folder.glob("[!.]*/.*.part")):
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
 
 
 def folders_of(folder: Path) -> Mapping[str, Path]:
