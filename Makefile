@@ -38,17 +38,20 @@ soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
 	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 20
 
 # Heavy packages, over those of $(VENV), in an environment of their own: their pins contradict those of the tests.
-# torch's CPU build is not in every package index. Where pip does not find it, the test of TRL is skipped.
-$(VENV)-agents/.ready: requirements-agents.lock requirements-trl.lock $(VENV)/.ready
+$(VENV)-agents/.ready: requirements-agents.lock $(VENV)/.ready
 	$(PYTHON) -m venv $(VENV)-agents
 	$(BIN)/python -c "import site; print(site.getsitepackages()[0])" > \
 	  "$$($(VENV)-agents/bin/python -c 'import site; print(site.getsitepackages()[0])')/tests.pth"
 	$(VENV)-agents/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-agents.lock
-	$(VENV)-agents/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-trl.lock || \
-	  echo "requirements-trl.lock was not installed: the test of TRL will be skipped"
 	@touch $@
 
-agents: $(VENV)-agents/.ready  ## tests of the tools for language agents, each driven by its own package
+# torch's CPU build is not in every package index. Where pip does not find it, there is no stamp: the test of TRL is
+# skipped, and the next run tries again.
+$(VENV)-agents/.trl: requirements-trl.lock $(VENV)-agents/.ready
+	$(VENV)-agents/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-trl.lock && \
+	  touch $@ || echo "requirements-trl.lock was not installed: the test of TRL will be skipped"
+
+agents: $(VENV)-agents/.ready $(VENV)-agents/.trl  ## tests of the tools for language agents, each driven by its own package
 	$(VENV)-agents/bin/python -m pip check
 	$(VENV)-agents/bin/python -c "import inspect_ai, openenv, transformers"
 	$(VENV)-agents/bin/python -m pytest -rs tests/condvln/evaluation/test_agent_packages.py
