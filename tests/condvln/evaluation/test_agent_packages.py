@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-import threading
-import time
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -18,6 +16,7 @@ from condvln.evaluation.agents import agent_named
 from condvln.evaluation.export_folder import Export
 from condvln.evaluation.task import Task
 from condvln.evaluation.tools import EpisodeTools, tools_for
+from tests.condvln.evaluation.serving import running
 
 HOW = "make agents installs it"
 
@@ -161,13 +160,8 @@ def address(tools: type[EpisodeTools]) -> Iterator[str]:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     server = uvicorn.Server(uvicorn.Config(application(tools), host="127.0.0.1", port=port, log_level="error"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.05)
-    yield f"http://127.0.0.1:{port}"
-    server.should_exit = True
-    thread.join()
+    with running(server):
+        yield f"http://127.0.0.1:{port}"
 
 
 def test_openenv_s_client_walks_an_episode(address: str, made: tuple[Export, Path]) -> None:
