@@ -40,6 +40,8 @@ EYES_AT_ONCE: Final = 512
 """Number of eyes that are tested against one object's points at once."""
 RAYS_AT_ONCE: Final = 1 << 17
 """Number of pending rays after which they are cast; some ten megabytes."""
+LINES_KEPT: Final = 1 << 24
+"""Number of lines of sight whose results `Sight.is_faced` keeps for later walks; some forty megabytes."""
 
 Sought = tuple[str, str]
 """A target: ("thing", object id) or ("floor", room id)."""
@@ -132,6 +134,7 @@ class Sight:
         self._hiding = self._hiders(known, is_structure)
         self._points: dict[Sought, _Points | None] = {}
         self._seen: dict[Sought, dict[bytes, Bools]] = {}
+        self._kept = 0
 
     def _hiders(self, known: SceneGeometry | None, is_structure: Callable[[SceneObject], bool]) -> Occluders:
         if known is not None and not known.approximate:
@@ -191,6 +194,7 @@ class Sight:
         for look, (eye, point) in zip(looks, ends, strict=True):
             look.seen[eye, point] = free[at : at + len(eye)]
             at += len(eye)
+            self._kept += look.seen.size
             self._seen[look.sought].update(zip(look.keys, look.seen, strict=True))
 
     def floor(self, room_id: str) -> F64:
@@ -227,6 +231,9 @@ class Sight:
     def is_faced(self, sought: Sought, eyes: F64, headings: F64, angle: float) -> bool:
         """Return whether enough points of a target are visible on a walk. A point counts if it is visible from any of
         the eyes (n, 3), within a horizontal angle of `angle` degrees around the heading there (n,).
+
+        Walks of a scene may be many: after `LINES_KEPT` lines of sight, the results of earlier calls, and of `look`,
+        are forgotten.
         """
         where = self._where(sought)
         if where is None:
@@ -235,6 +242,9 @@ class Sight:
         some = np.flatnonzero(facing.any(axis=1))
         if not len(some):
             return False
+        if self._kept > LINES_KEPT:
+            self._seen.clear()
+            self._kept = 0
         self.look([(sought, eyes[some])])
         rows = self._seen[sought]
         seen: Bools = np.any([rows[eyes[at].tobytes()] & facing[at] for at in some], axis=0)

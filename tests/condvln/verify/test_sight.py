@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from condvln.episodes.goals import blocked_footprints, wide_islands
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Room, Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.verify import sight as module
 from condvln.verify.footprints import Obstacles
 from condvln.verify.ground_points import ground_points
 from condvln.verify.proof import find_navmesh
@@ -118,6 +120,32 @@ def sees(
     sight.look((one, EYE) for one in sought)  # asked again, and cast once
     assert sight.approximate == (geometry is None or geometry.approximate)
     return {name: sight.is_seen((kind, name), EYE, yaw) for kind, name in sought}
+
+
+def test_many_walks_of_a_scene_keep_few_lines_of_sight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is forgotten is cast again, with the same answers."""
+
+    def faced() -> tuple[list[bool], int]:
+        none: Any = lambda item: False  # noqa: E731
+        floor: Any = lambda room_id: np.empty((0, 3))  # noqa: E731
+        sight = Sight(chest_and_vase(), None, none, none, floor, PlacesConfig(), EpisodeConfig())
+        draw = np.random.default_rng(3)
+        walks = [draw.uniform([-1, 1.2, -2], [5, 1.3, 2], (20, 3)) for _ in range(30)]
+        found, most = [], 0
+        for eyes in [*walks, *walks]:
+            for name in ("chest", "vase"):
+                found.append(sight.is_faced(("thing", name), eyes[:2], draw.uniform(0, 6, 2), 60.0))
+                sight.is_faced(("thing", name), eyes, np.zeros(20), 60.0)
+                most = max(most, sum(row.size for rows in sight._seen.values() for row in rows.values()))
+        return found, most
+
+    unbounded, all_of_them = faced()
+    monkeypatch.setattr(module, "LINES_KEPT", 10_000)
+    bounded, few = faced()
+    assert bounded == unbounded
+    assert {True, False} <= {*bounded}
+    # The bound, and the lines of the call that went over it.
+    assert few <= 10_000 + 22 * 128 < all_of_them
 
 
 def test_boxes_hide_where_surfaces_are_not_known() -> None:
