@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ F64 = NDArray[np.float64]
 VERIFIED: Final = "verified"
 AUTOMATED: Final = "automated"
 LEVEL_ROOMS: Final = 3
-"""Least number of rooms of a level whose median is taken as the height of its floor."""
+"""Least number of rooms of a level for the median of their floors to be the height of the level."""
 _FILE: Final = re.compile(r"^(?:(?P<folder>[^/]+)/)?(?:(?P<name>[^/]+)\.scn|3DSceneGraph_(?P<original>[^/]+)\.npz)$")
 
 
@@ -78,17 +78,22 @@ class GibsonSource(SceneSource):
         document = read_scn(data, where) if path.endswith(".scn") else read_npz(data, where)
         complete = not scene_id.startswith(f"{AUTOMATED}/")
         room_of = _rooms(document, self.family, complete)
-        room_of, sunken = (room_of, []) if complete else _levelled(room_of)
+        off_level: list[SceneWarning] = []
+        if not complete:
+            nodes = document.array("rooms")
+            named = {node["id"].integer() for node in nodes if node.get("floor_number") is not None}
+            room_of, off_level = _with_floors_of_levels(room_of, named)
         rooms = tuple(room_of.values())
         if self.options.regions is not None:
             drawn = side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
-            rooms, room_of, sunken = drawn or rooms, {} if drawn else room_of, [] if drawn else sunken
+            if drawn:
+                rooms, room_of, off_level = drawn, {}, []
         items, warnings = _objects(document, self.family, room_of)
         rooms = rooms or (_whole(items, self.family, complete),)
         placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
         placed += [o for o in items if o.room_id]
         stage, navmeshes = self._beside(scene_id, path, ledger)
-        said = {*warnings, *lost, *sunken}
+        said = {*warnings, *lost, *off_level}
         return Scene(
             family=self.family,
             scene_id=scene_id,
@@ -188,20 +193,40 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
     return rooms
 
 
-def _levelled(rooms: Mapping[int, Room]) -> tuple[dict[int, Room], list[SceneWarning]]:
-    """Return the rooms, each floor at the height of its level, and the warnings.
+def _with_floors_of_levels(
+    rooms: Mapping[int, Room], named: Collection[int]
+) -> tuple[dict[int, Room], list[SceneWarning]]:
+    """Return the rooms, each floor at the height of its level, and a warning for each floor that is off this height.
 
     A box that no person checked may reach far below the floor. Nobody could stand in such a room, since its floor is
-    not on the navmesh. So a floor that is more than `LEVEL_STEP` from the median floor of its level gets this height,
-    if the level has at least three rooms.
+    not on the navmesh. So a floor that is more than `LEVEL_STEP` from the median floor of its level gets this height.
+
+    A level has a height if it has at least `LEVEL_ROOMS` rooms, and more than half of their floors are within
+    `LEVEL_STEP` of it: otherwise rooms of two storeys may share a level, and their median lies between the two. A box
+    that ends below this height is left as it is, because the room would have no height.
+
+    named : numbers of the rooms whose level the file names; the others are left as they are
     """
     found, warnings = dict(rooms), []
-    for number, room in rooms.items():
-        floors = [other.floor_y for other in rooms.values() if other.level == room.level]
+    of_level: defaultdict[int, list[int]] = defaultdict(list)
+    for number in rooms:
+        if number in named:
+            of_level[rooms[number].level].append(number)
+    for numbers in of_level.values():
+        floors = np.array([rooms[number].floor_y for number in numbers])
         usual = float(round_mm(float(np.median(floors))))
-        if len(floors) >= LEVEL_ROOMS and abs(room.floor_y - usual) > LEVEL_STEP:
-            found[number] = replace(room, floor_y=usual)
-            message = f"its box begins at {room.floor_y:g} m: its floor is set to {usual:g} m, as in its level's rooms"
+        off = np.abs(floors - usual) > LEVEL_STEP
+        if len(numbers) < LEVEL_ROOMS or 2 * int(off.sum()) >= len(numbers):
+            continue
+        for number in (number for number, is_off in zip(numbers, off, strict=True) if is_off):
+            room = rooms[number]
+            if room.ceiling_y > usual:
+                found[number] = replace(room, floor_y=usual)
+                message = (
+                    f"its box begins at {room.floor_y:g} m: its floor is set to {usual:g} m, as in its level's rooms"
+                )
+            else:
+                message = f"its box ends at {room.ceiling_y:g} m, below the floor of its level's rooms, {usual:g} m"
             warnings.append(SceneWarning("room_off_level", room.room_id, message))
     return found, warnings
 

@@ -32,7 +32,7 @@ class SceneStage(Stage):
     agent: AgentConfig
     limits: LimitsConfig
     name: str = "scene"
-    version: int = 10
+    version: int = 11
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 

@@ -81,6 +81,45 @@ def test_a_box_that_no_person_checked_does_not_lower_its_rooms_floor(tmp_path: P
     assert off == ([("kitchen_2", said)] if folder == "automated" else [])
 
 
+def floors_of(
+    tmp_path: Path, boxes: list[tuple[float, float]], levels: list[str | None]
+) -> tuple[list[float], list[tuple[str, str]]]:
+    """Floors of an automated building's rooms, and the warnings about them; `boxes` are (lowest, highest), metres."""
+    document = building()
+    document["rooms"] = [
+        {"id": k, "scene_category": "bedroom", "location": [5.0 * k, 2, (low + high) / 2], "size": [4, 6, high - low]}
+        | ({} if level is None else {"floor_number": level})
+        for k, ((low, high), level) in enumerate(zip(boxes, levels, strict=True))
+    ]
+    for item in document["objects"]:
+        item["parent_room"] = 0
+    scene = write(tmp_path, document, "automated/Made.scn").read("automated/Made")
+    assert all(room.floor_y < room.ceiling_y for room in scene.rooms)
+    off = [(w.where, w.message) for w in scene.warnings if w.code == "room_off_level"]
+    return [scene.room_of[f"bedroom_{k}"].floor_y for k in range(len(boxes))], off
+
+
+def test_floors_of_two_storeys_in_one_level_stay(tmp_path: Path) -> None:
+    """Their median is a height at which there is no floor."""
+    boxes = [(0.0, 2.5), (0.0, 2.5), (-3.0, -0.5), (-3.0, -0.5)]
+    assert floors_of(tmp_path, boxes, ["A"] * 4) == ([0.0, 0.0, -3.0, -3.0], [])
+
+
+def test_rooms_whose_level_is_not_named_keep_their_floors(tmp_path: Path) -> None:
+    """Without a name, all storeys of a building count as its lowest level."""
+    boxes = [(0.0, 2.5), (0.0, 2.5), (0.0, 2.5), (2.8, 5.0)]
+    assert floors_of(tmp_path, boxes, [None] * 4) == ([0.0, 0.0, 0.0, 2.8], [])
+    floors, off = floors_of(tmp_path / "named", boxes, ["A"] * 4)
+    assert floors == [0.0] * 4
+    assert [where for where, _ in off] == ["bedroom_3"]
+
+
+def test_a_box_below_the_floor_of_its_level_keeps_a_height_and_is_named(tmp_path: Path) -> None:
+    floors, off = floors_of(tmp_path, [(0.0, 2.5), (0.0, 2.5), (0.1, 2.5), (-3.0, -0.5)], ["A"] * 4)
+    assert floors == [0.0, 0.0, 0.1, -3.0]
+    assert off == [("bedroom_3", "its box ends at -0.5 m, below the floor of its level's rooms, 0 m")]
+
+
 def test_both_formats_give_the_same_scene(tmp_path: Path) -> None:
     json_ = write(tmp_path / "a", building()).read("verified/Made")
     npz = write(tmp_path / "b", building(), "verified/3DSceneGraph_Made.npz").read("verified/Made")
