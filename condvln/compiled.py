@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from types import FunctionType
@@ -24,16 +24,23 @@ from typing import Any, Final, ParamSpec, TypeVar, cast
 import numba
 from numba.core import event as numba_event
 
+from condvln.collector import no_collection
 from condvln.kernel_cache import KernelCache
 
-__all__ = ["compilation_reported_to", "compiled", "register_warm_up", "warm_up"]
+__all__ = ["compilation_reported_to", "compiled", "inlined", "register_warm_up", "warm_up"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 Notify = Callable[[str], None]
 
-_OPTIONS: Final = {"cache": False, "fastmath": False, "error_model": "numpy", "nogil": True}
-"""Options of ``numba.njit``; ``condvln.kernel_cache`` stands for its cache."""
+_OPTIONS: Final = {
+    "cache": False,
+    "fastmath": False,
+    "error_model": "numpy",
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+}
+"""Options of ``numba.njit``; ``condvln.kernel_cache`` stands for its cache, and nothing calls kernels from C."""
 
 _logger = logging.getLogger(__name__)
 _warm_ups: dict[str, Callable[[], object]] = {}
@@ -44,8 +51,21 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     The function's type is kept, so that mypy checks the callers.
     """
-    dispatcher = numba.njit(**_OPTIONS)(function)
-    dispatcher._cache = KernelCache(cast("FunctionType", function), sorted(_OPTIONS.items()), _not_stored)
+    return _dispatcher(function, _OPTIONS)
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile ``function`` as a part of the only kernel that calls it, at one place.
+
+    It is typed, optimised and turned into machine code there, not by itself before that, which takes less time; the
+    results are the same. A call from Python, as in tests, compiles it by itself.
+    """
+    return _dispatcher(function, {**_OPTIONS, "inline": "always"})
+
+
+def _dispatcher(function: Callable[P, R], options: Mapping[str, object]) -> Callable[P, R]:
+    dispatcher = numba.njit(**options)(function)
+    dispatcher._cache = KernelCache(cast("FunctionType", function), sorted(options.items()), _not_stored)
     return cast("Callable[P, R]", dispatcher)
 
 
@@ -68,7 +88,8 @@ def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -
         for number, (name, run) in enumerate(chosen, start=1):
             if report is not None:
                 report(f"navigation kernels {number}/{len(chosen)}: {name}")
-            run()
+            with no_collection():  # numba makes millions of small objects; looking through them takes an eighth
+                run()
 
 
 @contextmanager

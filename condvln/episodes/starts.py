@@ -179,6 +179,7 @@ def _warm_up() -> None:
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], np.float32)
     pathfinder = Pathfinder.from_tile(tile_of_polygons(square, [[0, 1, 2], [0, 2, 3]]))
     goals = GoalField(pathfinder, {"a": np.array([[0.9, 0, 0.5]]), "b": np.array([[0.1, 0, 0.1]])})
+    goals.apart(0.1)
     starts = Starts(pathfinder, goals, np.array([[0.1, 0.0, 0.5]]), Footprints([]))
     starts.first_fit([[0, 1]], np.zeros(1, np.int64), 0.1, None, np.zeros(len(REFUSALS), np.int64))
     starts.route_lengths(np.zeros(1, np.int64), [0, 1])

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import dis
+import importlib
+import inspect
 import os
+import re
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import CodeType, FunctionType
 
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+import condvln
 import condvln.navigation
 
 KERNEL = """
@@ -122,19 +131,65 @@ EDITS = {
 }
 
 
+@pytest.mark.parametrize("decorator", ["compiled", "inlined"])
 @pytest.mark.parametrize("edit", EDITS)
-def test_a_change_in_another_folder_is_noticed(kernels: Path, tmp_path: Path, edit: str) -> None:
+def test_a_change_in_another_folder_is_noticed(kernels: Path, tmp_path: Path, edit: str, decorator: str) -> None:
     """Of what a callee's callee does, of a constant, and of the order of a tuple's fields."""
+    source = CALLEE.replace("compiled\n", f"{decorator}\n")
     (kernels / "far").mkdir()
     (kernels / "kernel.py").write_text(CALLER)
     callee = kernels / "far" / "away.py"
-    callee.write_text(CALLEE)
+    callee.write_text(source)
     environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     assert run(kernels, tmp_path / "home", **environment).stdout == "42\n"
     before = len(cached(tmp_path))
-    callee.write_text(CALLEE.replace(edit, EDITS[edit][0]))
+    callee.write_text(source.replace(edit, EDITS[edit][0]))
     assert run(kernels, tmp_path / "home", **environment).stdout == f"{EDITS[edit][1]}\n"
     assert len(cached(tmp_path)) > before
+
+
+def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
+    """Inlined at two places, a kernel would be compiled twice; one that Python calls is compiled by itself anyway."""
+    package = Path(condvln.__path__[0])
+    for path in sorted(package.rglob("*.py")):
+        if re.search(r"condvln\.compiled|kernels|navigation\.recast", path.read_text()):
+            importlib.import_module(".".join(path.relative_to(package.parent).with_suffix("").parts))
+    places: Counter[Dispatcher] = Counter()
+    called_from_python: set[Dispatcher] = set()
+    kernels: set[Dispatcher] = set()
+    for module in [module for name, module in sys.modules.items() if name.startswith("condvln.")]:
+        for value in vars(module).values():
+            if isinstance(value, Dispatcher):
+                if value.py_func.__module__ == module.__name__:
+                    kernels.add(value)
+                    places.update(used_in(value.py_func.__code__, vars(module)))
+            elif isinstance(value, FunctionType | type) and value.__module__ == module.__name__:
+                for code in codes_of(value):
+                    called_from_python.update(used_in(code, vars(module)))
+    expected = {kernel for kernel in kernels if places[kernel] == 1 and kernel not in called_from_python}
+    found = {kernel for kernel in kernels if kernel.targetoptions.get("inline") == "always"}
+    assert {kernel.py_func.__qualname__ for kernel in found ^ expected} == set()
+
+
+def used_in(code: CodeType, names: Mapping[str, object]) -> Iterator[Dispatcher]:
+    """Yield a kernel as often as `code`, or code within it, names it."""
+    for instruction in dis.get_instructions(code):
+        used = names.get(str(instruction.argval)) if instruction.opname == "LOAD_GLOBAL" else None
+        if isinstance(used, Dispatcher):
+            yield used
+    for const in code.co_consts:
+        if isinstance(const, CodeType):
+            yield from used_in(const, names)
+
+
+def codes_of(value: FunctionType | type) -> Iterator[CodeType]:
+    """Yield the code of a function, or of all methods and properties of a class."""
+    members = vars(value).values() if isinstance(value, type) else (value,)
+    for member in members:
+        for name in ("fget", "func", "__func__"):
+            member = getattr(member, name, member)
+        if isinstance(member, FunctionType):
+            yield inspect.unwrap(member).__code__
 
 
 GLOBALS = {

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 from jobs.warm_up import KERNEL_MODULES, compile_kernels
 
@@ -14,6 +18,50 @@ def test_every_group_that_is_registered_is_compiled(repository: Path) -> None:
         for name in re.findall(r'^register_warm_up\("([^"]+)"', file.read_text(encoding="utf-8"), re.MULTILINE):
             found[name] = ".".join(file.relative_to(repository).with_suffix("").parts)
     assert found == KERNEL_MODULES
+
+
+PROGRAM = """
+import importlib, io, sys
+from pathlib import Path
+from rich.console import Console
+from condvln.compiled import warm_up
+from condvln.kernel_cache import KernelCache
+from condvln.samples import make_samples
+from jobs.generate import run_generate
+from jobs.warm_up import KERNEL_MODULES
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.program import CATEGORIES
+
+folder, family = Path(sys.argv[1]), sys.argv[2]
+make_samples(folder / "data", family=family, scenes=1, seed=3)
+for module in KERNEL_MODULES.values():
+    importlib.import_module(module)
+warm_up()
+load = KernelCache.load_overload
+
+def told(self, signature, context):
+    print("not ready:", self._kernel.__module__, self._kernel.__name__, signature)
+    return load(self, signature, context)
+
+KernelCache.load_overload = told
+config = Config(
+    name=family, store=folder / "store", export=folder / "export",
+    sources=(SourceConfig(family=family, root=folder / "data"),),
+    instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 4)),
+)
+assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
+"""
+
+
+@pytest.mark.parametrize("family", ["procthor", "replicacad"])
+def test_after_the_warm_up_a_run_compiles_nothing(tmp_path: Path, family: str) -> None:
+    """With a navmesh that is built, and with one that is shipped. In a process of its own; each kernel that it needs
+    and has not, compiled or kept on disk, is told.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(tmp_path), family], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == ""
 
 
 def test_what_the_cache_holds_is_not_compiled_again() -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.episodes.kernels.distances import distance_between, straight_distance
 from condvln.episodes.kernels.ways import comes_within, passes_through
 from condvln.navigation.kernels.astar import Search, new_search
@@ -181,7 +181,7 @@ def route_lengths(
     return True
 
 
-@compiled
+@inlined
 def _extended(path: Doubles, size: int, known: KnownWays, way: int) -> int:
     """Append the corners of a way but its first to a path of ``size`` corners; return the new size."""
     begin = known.begin[way]
@@ -191,7 +191,7 @@ def _extended(path: Doubles, size: int, known: KnownWays, way: int) -> int:
     return size
 
 
-@compiled
+@inlined
 def _judged(
     mesh: QueryMesh,
     search: Search,

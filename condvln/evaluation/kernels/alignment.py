@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, register_warm_up
+from condvln.compiled import compiled, inlined, register_warm_up
 
 __all__ = ["coverage_distances", "dtw", "dtw_of_costs", "fast_dtw"]
 
@@ -84,7 +84,7 @@ def _halved(points: Points) -> Points:
 _FROM_PATH, _FROM_REFERENCE, _FROM_BOTH = 0, 1, 2
 
 
-@compiled
+@inlined
 def _windowed(path: Points, reference: Points, low: Ints, high: Ints) -> tuple[float, Ints]:
     """Return the DTW distance and the alignment, as (k, 2) pairs. In row i of the table, which belongs to point i of
     the path, only the columns ``low[i] <= j < high[i]`` are used.
@@ -133,12 +133,12 @@ def _windowed(path: Points, reference: Points, low: Ints, high: Ints) -> tuple[f
     return total, pairs[:count]
 
 
-@compiled
+@inlined
 def _everything(n: int, m: int) -> tuple[Ints, Ints]:
     return np.zeros(n, np.int64), np.full(n, m, np.int64)
 
 
-@compiled
+@inlined
 def _around(pairs: Ints, n: int, m: int, radius: int) -> tuple[Ints, Ints]:
     """Return, for each row of an (n, m) table, the range of columns near an alignment: the first column, and the column
     after the last. Near means within ``radius`` cells of ``pairs``, the alignment in a table of half the size.

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, register_warm_up
+from condvln.compiled import compiled, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, uniform
 
 __all__ = ["NOTHING", "RULES", "Given", "StatementTables", "draw_conditions", "leave_a_question", "rules_of_places"]
@@ -135,7 +135,7 @@ def clash(claims: Longs, k: int, given: Given, overlap: Bools) -> int:
     return NOTHING
 
 
-@compiled
+@inlined
 def _closes_cycle(claims: Longs, k: int, overlap: Bools) -> bool:
     """Return whether the relation of claim `k` closes a cycle of labels with the relations of the claims before it that
     are about the same room.
@@ -169,7 +169,7 @@ def _any(words: Longs, count: int, label: int, overlap: Bools) -> bool:
     return found
 
 
-@compiled
+@inlined
 def _is_elsewhere(label: int, claims: Longs, k: int, given: Given, overlap: Bools) -> bool:
     """Return whether a word of claim `k` might mean something that the text names in another room."""
     room = claims[k, ROOM]
@@ -192,7 +192,7 @@ def _claim(claims: Longs, k: int, room: int, room_anchor: int, pool: int, place:
     claims[k, PRESENCE] = tables.presence[pool]
 
 
-@compiled
+@inlined
 def _statements(room: int, start: int, tables: StatementTables, stream: Doubles, left: Longs) -> int:
     """Draw a pool of statements about a room; NOTHING if there is none. `start` is 1 if egocentric statements are
     possible there.

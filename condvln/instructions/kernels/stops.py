@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, register_warm_up
+from condvln.compiled import compiled, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, index
 
 __all__ = ["FAILURES", "MOST_MOVES", "TargetTables", "draw_stops", "fits"]
@@ -103,7 +103,7 @@ def _without_label(allowed: Bools, wanted: int, label: Longs) -> None:
         allowed[k] &= label[k] != wanted
 
 
-@compiled
+@inlined
 def _search(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetTables) -> bool:
     """Return whether `allowed` contains `n` targets that have different labels and are pairwise apart, and `free`
     contains `waypoints` more such targets, also apart from the first `n`. One target after the other is tried; after
@@ -169,7 +169,7 @@ def fits(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetTabl
     return bool(tables.answers[place])
 
 
-@compiled
+@inlined
 def _draw_target(
     allowed: Bools, sums: Doubles, labels: Longs, tables: TargetTables, stream: Doubles, left: Longs
 ) -> int:
@@ -235,7 +235,7 @@ def _has(label: int, allowed: Bools, tables: TargetTables) -> bool:
     return found
 
 
-@compiled
+@inlined
 def _few_rooms(
     least: int,
     most: int,
@@ -295,7 +295,7 @@ def _few_rooms(
     return count
 
 
-@compiled
+@inlined
 def _draw_goals(
     n: int,
     waypoints: int,
@@ -336,7 +336,7 @@ def _draw_goals(
     return NONE
 
 
-@compiled
+@inlined
 def _draw_moves(
     goal: int,
     count: int,
@@ -372,7 +372,7 @@ def _draw_moves(
     return True
 
 
-@compiled
+@inlined
 def _draw_leaves(
     counts: Longs,
     held: Bools,
@@ -419,7 +419,7 @@ def _running(weights: Doubles) -> Doubles:
     return sums
 
 
-@compiled
+@inlined
 def _leave_to_ask(rooms: Longs, tables: TargetTables, held: Bools) -> None:
     """Remove from `held` the targets that leave nothing to ask about any of the `rooms`."""
     for target in range(len(held)):

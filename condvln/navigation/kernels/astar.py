@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.geometry import HALF, ZERO, distance
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.tile import Floats, Indices
@@ -128,7 +128,7 @@ def place_at_edge(mesh: QueryMesh, search: Search, poly: int, other: int) -> Non
     search.position[other, 2] = (mesh.verts[a, 2] + mesh.verts[b, 2]) * HALF
 
 
-@compiled
+@inlined
 def find_corridor(
     mesh: QueryMesh,
     search: Search,

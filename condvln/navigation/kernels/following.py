@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.geometry import ONE, ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -87,7 +87,7 @@ def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, point
     return route_between(mesh, search, point, poly, at, goal.asked, goal.poly, goal.at, points)
 
 
-@compiled
+@inlined
 def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float:
     """Return how many turn actions lead from ``heading`` to the direction of the path ``points``: a fraction, positive
     for left turns, at most 180° either way.
@@ -103,7 +103,7 @@ def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float
     return 0.0
 
 
-@compiled
+@inlined
 def _candidate(number: int, off: float) -> int:
     """Return the integer nearest to ``off`` for ``number`` 0, the second nearest for ``number`` 1, and so on."""
     nearest = math.floor(off + 0.5)
@@ -124,7 +124,7 @@ def _try_heading(mesh: QueryMesh, gait: Gait, point: Floats, heading: int, reach
     return bool(reached[0] == end[0] and reached[2] == end[2])
 
 
-@compiled
+@inlined
 def _best_heading(
     mesh: QueryMesh,
     search: Search,
@@ -172,7 +172,7 @@ def _best_heading(
     return best_heading, best, 0
 
 
-@compiled
+@inlined
 def _can_go_on(
     mesh: QueryMesh, search: Search, gait: Gait, point: Floats, distance: np.float32, goal: Goal, points: Floats
 ) -> bool:
@@ -186,7 +186,7 @@ def _can_go_on(
     return False
 
 
-@compiled
+@inlined
 def _way_around(
     mesh: QueryMesh,
     search: Search,
@@ -231,7 +231,7 @@ def _way_around(
                 return _headings_to(parent, taken, count - 1)
 
 
-@compiled
+@inlined
 def _known(places: Floats, count: int, place: Floats) -> bool:
     for i in range(count):
         dx = places[i, 0] - place[0]
@@ -242,7 +242,7 @@ def _known(places: Floats, count: int, place: Floats) -> bool:
     return False
 
 
-@compiled
+@inlined
 def _headings_to(parent: Indices, taken: Indices, node: int) -> Indices:
     length = 0
     at = node
@@ -257,7 +257,7 @@ def _headings_to(parent: Indices, taken: Indices, node: int) -> Indices:
     return headings
 
 
-@compiled
+@inlined
 def _plan(
     mesh: QueryMesh,
     search: Search,

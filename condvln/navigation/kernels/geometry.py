@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.tile import Floats
 
@@ -83,7 +83,7 @@ def inside_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> 
     return inside
 
 
-@compiled
+@inlined
 def height_in_triangle(corner: Floats, x: np.float32, z: np.float32) -> tuple[bool, np.float32]:
     """Return whether (x, z) is inside the triangle ``corner`` (3, 3), and the triangle's height there."""
     v0x = corner[2, 0] - corner[0, 0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.tile import Floats, Indices
 
 
@@ -48,7 +48,7 @@ def find_islands(
     return island, radii[:islands].copy()
 
 
-@compiled
+@inlined
 def _radius(verts: Floats, poly_verts: Indices, poly_size: Indices, members: Indices) -> np.float32:
     x, y, z = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     corners = 0

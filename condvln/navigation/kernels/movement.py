@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import CLOSED, OPEN, Search, moved_up, new_search, place_at_edge, pop, push
 from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, distance, inside_polygon, point_to_segment
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -29,7 +29,7 @@ def _passable(mesh: QueryMesh, poly: int, edge: int) -> int:
     return int(other) if other >= 0 and mesh.walkable[other] else -1
 
 
-@compiled
+@inlined
 def _node_of(polys: Indices, count: int, poly: int) -> int:
     for node in range(count):
         if polys[node] == poly:
@@ -37,7 +37,7 @@ def _node_of(polys: Indices, count: int, poly: int) -> int:
     return -1
 
 
-@compiled
+@inlined
 def move_along_surface(
     mesh: QueryMesh, start_poly: int, start: Floats, end: Floats, reached: Floats, visited: Indices
 ) -> int:
@@ -104,7 +104,7 @@ def move_along_surface(
     return count
 
 
-@compiled
+@inlined
 def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
     """Move ``reached`` back to the point where the segment from ``start`` to ``end`` crosses a wall of the visited
     polygons. If it crosses several walls, the crossing nearest to ``end`` is taken.
@@ -168,7 +168,7 @@ def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Fl
         _nudge_inwards(mesh, last, reached)
 
 
-@compiled
+@inlined
 def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
     """Move a point on the edge between two islands by 0.1 mm towards the middle of its own polygon."""
     towards = np.zeros(3, np.float32)
@@ -192,7 +192,7 @@ def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Float
     return reached
 
 
-@compiled
+@inlined
 def nearest_wall(
     mesh: QueryMesh, search: Search, point: Floats, max_radius: np.float32, hit: Floats, normal: Floats
 ) -> np.float32:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.geometry import (
     GREATEST,
     ONE,
@@ -200,7 +200,7 @@ def _nearest_within(
     return best_poly, best_x, best_y, best_z
 
 
-@compiled
+@inlined
 def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.float32) -> bool:
     """Return whether the polygon's box is too far away to contain a point nearer than ``best``, a squared distance. A
     margin is subtracted from the horizontal distance to the box.

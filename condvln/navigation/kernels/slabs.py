@@ -7,14 +7,14 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 
 __all__ = ["blocked_looks"]
 
 Doubles = npt.NDArray[np.float64]
 
 
-@compiled
+@inlined
 def _is_above(point: Doubles, center: Doubles, half: Doubles, axes: Doubles, headroom: float, touch: float) -> bool:
     """Return whether a point (3,) is directly above a box by at most ``headroom`` metres."""
     dx, dy, dz = point[0] - center[0], point[1] - center[1], point[2] - center[2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import edge_to
 from condvln.navigation.kernels.geometry import ZERO, clamp_to_polygon, point_to_segment, triangle_area
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -36,7 +36,7 @@ def _append(points: Floats, count: int, x: np.float32, y: np.float32, z: np.floa
     return count + 1
 
 
-@compiled
+@inlined
 def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, end: Floats, points: Floats) -> int:
     """Write to ``points`` the corners of the shortest path through the first ``size`` polygons of ``corridor``. The
     path runs between the requested points, not the snapped ones.
@@ -113,7 +113,7 @@ def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, en
     return count if count < MAX_POINTS else 0
 
 
-@compiled
+@inlined
 def path_length(points: Floats, count: int) -> np.float32:
     """Return the length of a polyline in metres, summed in float32 from its start."""
     length = ZERO

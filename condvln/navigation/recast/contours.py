@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground, grown
 from condvln.navigation.recast.compact import CompactHeightfield
 from condvln.navigation.recast.planar import coincide
@@ -66,7 +66,7 @@ def trace_contours(
     return Contours(raw, raw_start, regions, areas), Contours(simple, simple_start, regions, areas)
 
 
-@compiled
+@inlined
 def _open_edges(neighbour: Array, region: Array) -> Array:
     """Return the open edges of each span as the bits of one number, (s,) uint8: bit d is set if a step in direction d
     leaves the span's region.
@@ -83,7 +83,7 @@ def _open_edges(neighbour: Array, region: Array) -> Array:
     return edges
 
 
-@compiled
+@inlined
 def _corner_height(i: int, direction: int, floor: Array, neighbour: Array) -> int:
     """Return the height of the highest floor among the spans (at most four) that meet at one corner of span ``i``: the
     corner between the edges ``direction`` and ``direction + 1``.
@@ -100,7 +100,7 @@ def _corner_height(i: int, direction: int, floor: Array, neighbour: Array) -> in
     return int(height)
 
 
-@compiled
+@inlined
 def _walk(
     start: int,
     width: int,
@@ -141,7 +141,7 @@ def _walk(
     return n
 
 
-@compiled
+@inlined
 def _squared_distance(point: Ground, a: Ground, b: Ground) -> np.float32:
     """Return the squared horizontal distance from a point to a segment in cells, in float32."""
     abx, abz = np.float32(b[0] - a[0]), np.float32(b[1] - a[1])
@@ -163,7 +163,7 @@ def _insert_after(kept: Array, n: int, i: int, value: int) -> None:
     kept[i + 1] = value
 
 
-@compiled
+@inlined
 def _corner_stones(raw: Array, n: int, kept: Array) -> int:
     """Write to ``kept`` the indices of the points that a simplified outline must keep; return their number. These are
     the points where the adjacent region changes or, if it never changes, two extreme corners.
@@ -199,7 +199,7 @@ def _forward(a: Ground, b: Ground) -> bool:
     return bool(b[0] > a[0] or (b[0] == a[0] and b[1] > a[1]))
 
 
-@compiled
+@inlined
 def _simplify(raw: Array, n: int, max_error: np.float32, max_edge_length: int, kept: Array) -> int:
     """Write to ``kept`` the indices of the raw points that the simplified outline keeps; return their number."""
     m = _corner_stones(raw, n, kept)
@@ -305,7 +305,7 @@ def _trace(
     )
 
 
-@compiled
+@inlined
 def _without_doubles(points: Array, n: int) -> int:
     """Remove the points that are directly above or below the next point; return the number of points left. There is
     only one pass, as in Recast.

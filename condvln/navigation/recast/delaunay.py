@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]
@@ -39,7 +39,7 @@ def distance_2d(a: Ground, b: Ground) -> np.float32:
     return np.float32(np.sqrt(dx * dx + dz * dz))
 
 
-@compiled
+@inlined
 def delaunay(points: Array, n: int, hull: Array, n_hull: int, edges: Array, triangles: Array) -> int:
     """Triangulate ``points[:n]`` within the ring ``hull[:n_hull]``; return the number of triangles.
 
@@ -102,7 +102,7 @@ def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) ->
     return n_edges
 
 
-@compiled
+@inlined
 def _circle(a: Ground, b: Ground, c: Ground, centre: Array) -> np.float32:
     """Write to ``centre`` the centre of the circle through three points, and return the radius of the circle. If the
     points are collinear, the centre is a and the radius is 0.
@@ -122,7 +122,7 @@ def _circle(a: Ground, b: Ground, c: Ground, centre: Array) -> np.float32:
     return np.float32(np.sqrt(x * x + z * z))
 
 
-@compiled
+@inlined
 def _crosses(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
     abd = cross_2d(a, b, d)
     abc = cross_2d(a, b, c)
@@ -143,7 +143,7 @@ def _crosses_any(points: Array, edges: Array, n_edges: int, s: int, t: int) -> b
     return False
 
 
-@compiled
+@inlined
 def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: int) -> int:
     """Return the index of a point to the left of edge s-t, chosen so that the circle through s, t and this point
     contains no other point; n if there is no such point.
@@ -187,7 +187,7 @@ def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, face
     return n_edges, faces + 1
 
 
-@compiled
+@inlined
 def _collect(edges: Array, n_edges: int, faces: int, triangles: Array) -> int:
     """Collect the corners of each triangle from its edges and write them to ``triangles``; return the number of
     complete triangles. Each incomplete triangle is overwritten by the last triangle of the list.

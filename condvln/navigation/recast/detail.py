@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground, grown_rows
 from condvln.navigation.recast.compact import CompactHeightfield
 from condvln.navigation.recast.config import RecastConfig
@@ -98,7 +98,7 @@ def _boxes(mesh: PolyMesh, counts: Array, width: int, depth: int) -> Array:
     return np.ascontiguousarray(np.concatenate([low, high - low], axis=1), np.int32)
 
 
-@compiled
+@inlined
 def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -> int:
     """Triangulate the ring ``hull``: write its triangles to ``triangles`` and return their number. The first triangle
     cuts off one corner, chosen so that the triangle's perimeter is least. Each further triangle adds the ring's next

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array
 
 __all__ = ["UNSET", "fill_patch", "sample_height"]
@@ -22,7 +22,7 @@ AROUND_Z = np.array([0, -1, -1, -1, 0, 1, 1, 1, 0], np.int64)
 BORDER_SLACK = np.float32(0.01)
 
 
-@compiled
+@inlined
 def fill_patch(
     patch: Array,
     box: Array,
@@ -94,7 +94,7 @@ def _cell(i: int, box: Array, width: int, column: Array) -> int:
     return int(x + z * box[2])
 
 
-@compiled
+@inlined
 def _nearest_span(box: Array, corners: Array, width: int, start: Array, floor: Array) -> int:
     """Compare the spans beside each of the polygon's ``corners`` with this corner, and return the span with the least
     difference in height; -1 if there are no such spans.
@@ -117,7 +117,7 @@ def _nearest_span(box: Array, corners: Array, width: int, start: Array, floor: A
     return best
 
 
-@compiled
+@inlined
 def _seed(
     patch: Array,
     box: Array,

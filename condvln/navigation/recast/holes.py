@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.planar import coincide, in_cone, segments_touch
@@ -75,7 +75,7 @@ def _blocked(a: Ground, b: Ground, polygon: Array, ignored: int) -> bool:
     return False
 
 
-@compiled
+@inlined
 def _joined(outline: Array, i: int, hole: Array, j: int) -> Array:
     """Return the outline with the hole inserted. The result runs around the outline from corner i back to i, then
     around the hole from corner j back to j.

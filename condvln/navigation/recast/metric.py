@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, Point, ground
 
 __all__ = ["FAR", "depth_inside", "height_error", "least_extent", "segment_distance", "segment_distance_2d"]
@@ -29,7 +29,7 @@ def segment_distance_2d(p: Ground, a: Ground, b: Ground) -> np.float32:
     return np.float32(dx * dx + dz * dz)
 
 
-@compiled
+@inlined
 def segment_distance(p: Point, a: Point, b: Point) -> np.float32:
     """Return the squared distance from a point to a segment in space."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -45,7 +45,7 @@ def segment_distance(p: Point, a: Point, b: Point) -> np.float32:
     return np.float32(dx * dx + dy * dy + dz * dz)
 
 
-@compiled
+@inlined
 def depth_inside(polygon: Array, n: int, p: Ground) -> np.float32:
     """Return the squared distance from ``p`` to the polygon's border in the ground plane, with a minus sign if ``p`` is
     inside.
@@ -62,7 +62,7 @@ def depth_inside(polygon: Array, n: int, p: Ground) -> np.float32:
     return -nearest if inside else nearest
 
 
-@compiled
+@inlined
 def height_error(p: Point, a: Point, b: Point, c: Point) -> np.float32:
     """Return the vertical distance from a point to a triangle; FAR if the triangle is neither above nor below the
     point.
@@ -84,7 +84,7 @@ def height_error(p: Point, a: Point, b: Point, c: Point) -> np.float32:
     return FAR
 
 
-@compiled
+@inlined
 def least_extent(polygon: Array, n: int) -> np.float32:
     """Return the width of the polygon in metres. For each edge, the distance of the farthest vertex is measured; the
     width is the least of these distances.

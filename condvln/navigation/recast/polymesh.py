@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, ground
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.planar import turn
@@ -87,7 +87,7 @@ def _too_many(what: str, most: int) -> FormatError:
     )
 
 
-@compiled
+@inlined
 def _vertex(x: int, y: int, z: int, vertices: Array, first: Array, after: Array, count: int) -> int:
     """Return the index of the vertex at (x, z) whose height is about ``y``; of several such vertices, the newest. If
     there is none, add a vertex and return its index, which is ``count``.
@@ -208,7 +208,7 @@ def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, mo
     return best, gain
 
 
-@compiled
+@inlined
 def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
     """Merge pairs of polygons until no pair can be merged. Each time, merge the pair that shares the longest edge; on
     ties, the first such pair. Return the number of polygons left.

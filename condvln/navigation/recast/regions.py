@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, grown
 from condvln.navigation.recast.compact import CompactHeightfield
 
@@ -116,7 +116,7 @@ def _survey(
     return size, kind, overlaps, outline[:used], begin, length
 
 
-@compiled
+@inlined
 def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, out: Array) -> int:
     """Write to ``out`` the adjacent regions along the outline that contains the edge of ``span`` in ``direction``;
     return their number. A region is written wherever it differs from the region written before.
@@ -187,7 +187,7 @@ def _may_merge(
     return meetings <= 1 and not _holds(above, above_start[a], above_length[a], ids[b])
 
 
-@compiled
+@inlined
 def _drop_small(size: Array, ids: Array, ring: Array, ring_start: Array, ring_length: Array, min_area: int) -> None:
     """Remove connected groups of regions that together have fewer than ``min_area`` spans."""
     visited = np.zeros(len(size), np.bool_)
@@ -315,7 +315,7 @@ def _rename(items: Array, begin: int, length: int, old: int, new: int) -> bool:
     return changed
 
 
-@compiled
+@inlined
 def _renumbered(ids: Array) -> tuple[Array, int]:
     new_id = np.zeros(len(ids), np.int32)
     fresh = np.zeros(len(ids), np.int32)

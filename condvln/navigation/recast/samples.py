@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Point, grown_rows, point
 from condvln.navigation.recast.heights import sample_height
 from condvln.navigation.recast.metric import FAR, depth_inside, height_error, segment_distance
@@ -22,7 +22,7 @@ JITTER_X = 0x8DA6B343
 JITTER_Z = 0xD8163841
 
 
-@compiled
+@inlined
 def _sample_edge(
     a: Point,
     b: Point,
@@ -68,7 +68,7 @@ def _sample_edge(
     return n
 
 
-@compiled
+@inlined
 def sample_border(
     polygon: Array,
     n: int,
@@ -107,7 +107,7 @@ def sample_border(
     return n_points, n_hull
 
 
-@compiled
+@inlined
 def inner_samples(
     polygon: Array, n: int, spacing: np.float32, surface: tuple[Array, Array], scale: Array, radius: int, samples: Array
 ) -> tuple[Array, int]:
@@ -142,7 +142,7 @@ def _jitter(i: int, factor: int) -> np.float32:
     return np.float32((i * factor) & 0xFFFF) / np.float32(65535.0) * np.float32(2.0) - np.float32(1.0)
 
 
-@compiled
+@inlined
 def worst_sample(
     samples: Array, count: int, spacing: np.float32, scale: Array, points: Array, triangles: Array, n_triangles: int
 ) -> tuple[int, np.float32, Point]:

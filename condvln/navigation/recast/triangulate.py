@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground
 from condvln.navigation.recast.planar import coincide, in_cone, segments_cross, segments_touch
 
 __all__ = ["triangulate"]
 
 
-@compiled
+@inlined
 def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> int:
     """Write the triangles of a polygon as rows of corner numbers; return the number of triangles.
 
@@ -77,7 +77,7 @@ def _squared_length(a: Ground, b: Ground) -> int:
     return int(dx * dx + dz * dz)
 
 
-@compiled
+@inlined
 def _shortest_ear(n: int, points: Array, corner: Array, ear: Array) -> int:
     best = -1
     shortest = -1
@@ -90,7 +90,7 @@ def _shortest_ear(n: int, points: Array, corner: Array, ear: Array) -> int:
     return best
 
 
-@compiled
+@inlined
 def _shortest_loose_cut(n: int, points: Array, corner: Array) -> int:
     """Return the corner at which the shortest possible cut begins; -1 if there is none. Cuts may touch the border (the
     loose test), which is needed for outlines whose segments overlap. As in Recast, a cut's length is measured to the

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.compact import CompactHeightfield
 from schemas.errors import FormatError
@@ -105,7 +105,7 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
     return region, count
 
 
-@compiled
+@inlined
 def _sort_by_level(level: int, area: Array, region: Array, distance: Array, spans: Array, bucket: Array) -> None:
     """Write the free spans of the next levels to ``spans``, sorted by level. The spans of the k-th of these levels are
     ``spans[bucket[k]:bucket[k + 1]]``, in ascending order.
@@ -183,7 +183,7 @@ def _expand(
     return held
 
 
-@compiled
+@inlined
 def _flood(
     seed: int,
     level: int,
@@ -222,7 +222,7 @@ def _flood(
     return filled > 0
 
 
-@compiled
+@inlined
 def _touches_other(i: int, own: int, neighbour: Array, area: Array, region: Array) -> bool:
     """Return whether one of the eight neighbours of span ``i`` is in another region."""
     for direction in range(4):

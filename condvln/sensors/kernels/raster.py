@@ -13,7 +13,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 
 __all__ = ["rasterize"]
 
@@ -25,7 +25,7 @@ SLACK = 1e-3
 """Tolerance in pixels of a triangle's bounds; the edge functions decide."""
 
 
-@compiled
+@inlined
 def _blocks_in_view(
     lows: Floats, highs: Floats, eye: Doubles, axes: Doubles, tan_x: float, tan_y: float, near: float
 ) -> npt.NDArray[np.int64]:
@@ -62,7 +62,7 @@ def _blocks_in_view(
     return found[:count][np.argsort(nearness[:count], kind="mergesort")]
 
 
-@compiled
+@inlined
 def _image_bounds(v: Doubles, near: float, tan_x: float, tan_y: float) -> tuple[float, float, float, float]:
     """Return the bounds in the image (least x, greatest x, least y, greatest y) of that part of the triangle `v` which
     is in front of the near plane. The unit is half the image's width for x, and half its height for y.
