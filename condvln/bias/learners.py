@@ -95,9 +95,10 @@ def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
     return guesses
 
 
-def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
+def _prior(key: Callable[[Asked], tuple[str, ...]], *, against: bool = False) -> Learner:
     """Return a learner that picks the likeliest leaf, judged by how often statements with the same `key` were true in
-    the episodes that it learned from.
+    the episodes that it learned from; with `against`, the unlikeliest leaf. If the statements of some scenes are asked
+    so that they balance those of the others, the unlikeliest leaf is gold too often.
 
     `key` maps a condition to the statement that is counted. A condition's position in the tree alone changes how often
     it is true, so the estimate uses the ratio of observed to expected counts.
@@ -117,15 +118,17 @@ def _prior(key: Callable[[Asked], tuple[str, ...]]) -> Learner:
                     counts[3] += share
             counted = len(learned)
             for k in guessed.tolist():
-                guesses[k] = _likeliest(views[k], seen, key)
+                scores = _scores(views[k], seen, key)
+                guesses[k] = scores.index(min(scores) if against else max(scores))
         return guesses
 
     return learner
 
 
-def _likeliest(
+def _scores(
     view: GuesserView, seen: Mapping[tuple[str, ...], Sequence[float]], key: Callable[[Asked], tuple[str, ...]]
-) -> int:
+) -> list[float]:
+    """Return a score for each leaf, larger if statements were often true and false as on the way to this leaf."""
     ratios = []
     for asked, share in zip(view.asked, _usual_truth(view.category), strict=True):
         false, true, usual_false, usual_true = seen.get(key(asked), (0.0, 0.0, 0.0, 0.0))
@@ -136,8 +139,7 @@ def _likeliest(
             )
         )
     odds = np.log(ratios).tolist()
-    scores = [sum([odds[k][truth] for k, truth in way]) for way in leaf_truths(view.category)]
-    return scores.index(max(scores))
+    return [sum([odds[k][truth] for k, truth in way]) for way in leaf_truths(view.category)]
 
 
 def _in_layout(learner: Learner) -> Learner:
@@ -277,14 +279,28 @@ def content_words() -> frozenset[str]:
     return frozenset(word for noun in nouns for word in noun.lower().split())
 
 
-_whole_statement = _prior(lambda asked: (asked.label, asked.room, asked.predicate, asked.anchor))
+def _label_and_room(asked: Asked) -> tuple[str, ...]:
+    return asked.label, asked.room
+
+
+def _whole_statement(asked: Asked) -> tuple[str, ...]:
+    return asked.label, asked.room, asked.predicate, asked.anchor
+
+
+def _form_of_statement(asked: Asked) -> tuple[str, ...]:
+    return str(asked.definite), asked.predicate
+
 
 LEARNED: Final[Mapping[str, Learner]] = {
     "majority leaf": majority_leaf,
-    "label and room": _prior(lambda asked: (asked.label, asked.room)),
-    "whole statement": _whole_statement,
-    "statement in its layout": _in_layout(_whole_statement),
-    "definite or not": _prior(lambda asked: (str(asked.definite), asked.predicate)),
+    "label and room": _prior(_label_and_room),
+    "against label and room": _prior(_label_and_room, against=True),
+    "whole statement": _prior(_whole_statement),
+    "against whole statement": _prior(_whole_statement, against=True),
+    "statement in its layout": _in_layout(_prior(_whole_statement)),
+    "against statement in its layout": _in_layout(_prior(_whole_statement, against=True)),
+    "definite or not": _prior(_form_of_statement),
+    "against definite or not": _prior(_form_of_statement, against=True),
     "form of the text": _regression(_form),
     "voice and length": _regression(_manner),
     "bag of words": _regression(_text_words),

@@ -65,7 +65,14 @@ TECHNICAL = {
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
     "instructions/balance.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT"},
     "instructions/informative.py": {"EXACT", "PSEUDOCOUNT"},
-    "instructions/stagings.py": {"EVENING_ROUNDS", "FACTOR_STEPS", "MOST_A_ROUND", "MOST_OCTAVES"},
+    "instructions/stagings.py": {
+        "COIN_PART",
+        "EVENING_ROUNDS",
+        "FACTOR_STEPS",
+        "LEAST_SHARE",
+        "MOST_A_ROUND",
+        "MOST_OCTAVES",
+    },
     # Voices of the text: wordings that mean the same, and where a sentence is split.
     "instructions/renderer.py": {"CHECK_SHARE", "COMPOUND_SHARE", "LOOK_AT_SHARE", "LOOK_SHARE"},
     "instructions/sentences.py": {"LONGEST_SENTENCE"},

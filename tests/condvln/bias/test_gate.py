@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from condvln.bias import judge, judge_export
+from condvln.bias.blocks import blocks
 from condvln.bias.gate import LEAST_EPISODES
 from condvln.bias.report import ALL
 from schemas.errors import FormatError, MissingFileError
+from tests.condvln.bias.conftest import LABELS
 
 
 def caught(rows: list[dict[str, Any]]) -> set[str]:
@@ -25,7 +27,7 @@ def test_fair_rows_pass(made_rows, seed: int) -> None:
     assert report.passed, report.verdict()
     assert report.verdict().startswith("no guesser beats chance")
     # A test a guesser and part, and the leaves of the cells with 200 episodes and more.
-    assert report.tests == 14 * 4 + len(report.uniformity)
+    assert report.tests == 17 * 4 + len(report.uniformity)
     assert {cell.category: cell.p for cell in report.uniformity} == {"chain": 1.0, "nested_chain": 1.0}
 
 
@@ -52,6 +54,23 @@ def test_labels_that_tell_their_truth_are_found(made_rows) -> None:
                 condition["label"] = "lamp" if condition["truth"] else "sofa"
 
     assert caught(made_rows(0, leak=leak)) >= {"label and room", "whole statement", "words in place"}
+
+
+def test_labels_whose_truths_are_balanced_over_scenes_are_found(made_rows) -> None:
+    """Each label is true in every other block of scenes and false in the others: after each it is owed the other truth,
+    so that betting on what was seen loses, and betting against it wins.
+    """
+    scenes = [f"made/s{k}" for k in range(20)]
+    even = {scenes[k] for block in blocks(scenes)[::2] for k in block.tolist()}
+
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        for condition in row["program"]["conditions"]:
+            due = bool(condition["truth"]) == (f"made/{row['scene_id']}" in even)
+            condition["label"] = LABELS[2 * rng.integers(3) + due]
+
+    found = caught(made_rows(0, leak=leak))
+    assert {"against label and room", "against whole statement"} <= found
+    assert not {"label and room", "whole statement"} & found
 
 
 def test_a_word_that_goes_with_a_leaf_is_found(made_rows) -> None:
@@ -107,11 +126,11 @@ def test_a_pair_of_conditions_that_is_definite_together_is_found(made_rows) -> N
 
 
 def test_a_leaf_that_is_gold_too_often_is_found(made_rows) -> None:
-    rows = [r for r in made_rows(0, categories=("chain",)) if r["gold_leaf"] != 1 or int(r["scene_id"][1:]) % 2]
+    rows = [r for r in made_rows(0, scenes=24, categories=("chain",)) if r["gold_leaf"] != 1 or int(r["scene_id"][1:]) % 2]
     report = judge(rows)
-    assert [cell.counts for cell in report.uneven] == [(80, 40, 80)]
+    assert [cell.counts for cell in report.uneven] == [(96, 48, 96)]
     assert not report.passed
-    assert "uneven: [80, 40, 80]" in report.verdict()
+    assert "uneven: [96, 48, 96]" in report.verdict()
 
 
 def asking(row: dict[str, Any], rng: np.random.Generator) -> bool:

@@ -1,4 +1,6 @@
-"""Over the stagings of a layout, each statement is drawn as often true as false, whatever else a staging holds."""
+"""Over the stagings of a layout, the truths of a statement are about as uneven as a fair coin's, whatever else a
+staging holds.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from hypothesis import strategies as st
 from condvln.instructions.informative import informative_weights
 from condvln.instructions.predicates import GROUP_OF, PREDICATE_GROUPS
 from condvln.instructions.priors import PRIORS
-from condvln.instructions.stagings import Statement, even_factors
+from condvln.instructions.stagings import COIN_PART, Statement, even_factors
 from schemas.config import PredicateWeights
 from schemas.config.constants import STAGINGS
 
@@ -34,14 +36,16 @@ def table_of(stagings: list[Truths]) -> pa.Table:
     return pa.table([pa.array(c, f.type) for c, f in zip(columns, PRIORS, strict=True)], schema=PRIORS)
 
 
-def expected(stagings: list[Truths], factors: Mapping[Statement, float]) -> dict[Statement, tuple[float, float]]:
-    """How often each statement is drawn false and true, by plain loops over rooms, groups and forms."""
+def expected(stagings: list[Truths], factors: Mapping[Statement, float]) -> dict[Statement, list[float]]:
+    """How often each statement is drawn in each staging, negative where it is false, by plain loops over rooms, groups
+    and forms.
+    """
     counts: dict[Statement, list[int]] = defaultdict(lambda: [0, 0])
     for truths in stagings:
         for statement, truth in truths.items():
             counts[statement][truth] += 1
-    drawn: dict[Statement, list[float]] = defaultdict(lambda: [0.0, 0.0])
-    for truths in stagings:
+    drawn: dict[Statement, list[float]] = {statement: [0.0] * len(stagings) for statement in counts}
+    for k, truths in enumerate(stagings):
         forms: dict[tuple[str, bool], dict[bool, dict[Statement, float]]] = {}
         for statement, truth in truths.items():
             n_false, n_true = counts[statement]
@@ -60,12 +64,18 @@ def expected(stagings: list[Truths], factors: Mapping[Statement, float]) -> dict
             share = WEIGHTS[group] / sum(WEIGHTS[g] for g in groups) * mass / together
             for truth, side in sides.items():
                 for statement, weight in side.items():
-                    drawn[statement][truth] += share * weight / sum(side.values())
-    return {statement: (false, true) for statement, (false, true) in drawn.items()}
+                    drawn[statement][k] += (1 if truth else -1) * share * weight / sum(side.values())
+    return drawn
 
 
-def unevenness(drawn: Mapping[Statement, tuple[float, float]]) -> float:
-    return sum(abs(true - false) for false, true in drawn.values()) / sum(map(sum, drawn.values()))
+def share(draws: list[float]) -> float:
+    """The excess of true draws, as a share of all."""
+    return sum(draws) / sum(map(abs, draws))
+
+
+def coin_share(draws: list[float]) -> float:
+    """The share that a coin's excess has on average (its root mean square)."""
+    return sum(x * x for x in draws) ** 0.5 / sum(map(abs, draws))
 
 
 def staged(seed: int, stagings: int = 20) -> list[Truths]:
@@ -86,33 +96,40 @@ def staged(seed: int, stagings: int = 20) -> list[Truths]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_each_statement_is_drawn_as_often_true_as_false(seed: int) -> None:
+def test_the_excess_is_a_part_of_a_coin_s_and_of_the_truth_in_more_stagings(seed: int) -> None:
     stagings = staged(seed)
-    before = unevenness(expected(stagings, {}))
-    after = unevenness(expected(stagings, even_factors(table_of(stagings), WEIGHTS)))
-    assert before > 0.15
-    assert after < before / 3
+    unfitted = expected(stagings, {})
+    drawn = expected(stagings, even_factors(table_of(stagings), WEIGHTS))
+    said = {statement: [truths[statement] for truths in stagings if statement in truths] for statement in drawn}
+    clear = [s for s, truths in said.items() if 2 * sum(truths) != len(truths) and any(drawn[s])]
+    assert len(clear) > 30
+    off = {}
+    for s in clear:
+        usual = 1 if 2 * sum(said[s]) > len(said[s]) else -1
+        off[s] = abs(share(drawn[s]) - usual * COIN_PART * coin_share(unfitted[s]))
+    draws = {s: sum(map(abs, drawn[s])) for s in clear}
+    assert sum(off[s] * draws[s] for s in clear) < 0.08 * sum(draws.values())
 
 
 def test_a_statement_that_is_false_where_little_else_is() -> None:
-    """`a` is true in two stagings and false in two, but where it is false, fewer others are false than are true where
+    """`a` is true in three stagings and false in two, but where it is false, fewer others are false than are true where
     it is true.
     """
     a, b, c, d, e, f = (("apartment", label, "near", "x", True) for label in "abcdef")
     stagings: list[Truths] = [
         {a: True, b: True, c: True, d: True, e: False, f: False},
         {a: True, b: True, c: True, e: True, d: False, f: False},
+        {a: True, b: True, c: True, d: False, e: False, f: True},
         {a: False, b: False, c: True, d: True, e: True, f: True},
         {a: False, c: False, b: True, d: True, e: True, f: True},
         {b: False, c: False, d: False, e: True, f: True},
         {d: False, e: False, f: True, b: True},
     ]
-    false, true = expected(stagings, {})[a]
-    assert false > 1.5 * true
+    unfitted = expected(stagings, {})[a]
+    assert share(unfitted) < -0.05
     factors = even_factors(table_of(stagings), WEIGHTS)
     assert factors[a] > 1.25
-    false, true = expected(stagings, factors)[a]
-    assert false == pytest.approx(true, rel=0.05)
+    assert 0.0 < share(expected(stagings, factors)[a]) < coin_share(unfitted)
 
 
 @given(st.integers(0, 10_000), st.integers(1, 6))
