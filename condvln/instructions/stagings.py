@@ -151,10 +151,9 @@ class _Draws:
 
     def _sums(self, drawn: F64) -> tuple[F64, F64]:
         """Return the sums of `drawn`, the draws of each occurrence, by statement: of false ones and of true ones."""
-        false, true = (
-            np.bincount(self.own, np.where(self.truth == truth, drawn, 0.0), len(self.statements)) for truth in (0, 1)
-        )
-        return false, true
+        sums = np.zeros((2, len(self.statements)))
+        np.add.at(sums, (self.truth, self.own), drawn)
+        return sums[0], sums[1]
 
     def _expected(self, weights: F64) -> F64:
         """Return the expected draws of each occurrence, per condition of its room, if true and false conditions are
