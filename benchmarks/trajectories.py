@@ -49,7 +49,7 @@ ROUNDS: Final = 3
 WALKS: Final = 4
 FRAMES: Final = 60
 """Frames of a walk in the first table."""
-PER_CATEGORY: Final = 2
+PER_CATEGORY: Final = 6
 """Episodes of each category in the second table."""
 SCENES: Final = 32
 LONG: Final = 900
