@@ -13,7 +13,7 @@ from condvln.samples import make_samples
 from jobs.evaluate import EvaluationReport, Question, evaluate_predictions, walk_split
 from jobs.explore import Exploration, explore
 from jobs.generate import run_generate
-from jobs.report import Report, Section, terminal
+from jobs.report import Report, Section, print_report
 from jobs.show import show_episodes
 from jobs.verify import verify_export
 from jobs.workspace import published
@@ -60,9 +60,8 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
         ray=RayConfig(workers=workers or None),
     )
     report = run_generate(config, inline=workers == 0, console=console)
-    printed = terminal()
     for part in (report, show_episodes(config, sample=SHOWN, picture=out / "pictures")):
-        printed.print(part)
+        print_report(part)
     proof = verify_export(config, out / "export")
     measured = _measure(config, out)
     files = tuple(out / "predictions" / f"{agent}.json" for agent in AGENTS) if measured is not None else ()
@@ -80,11 +79,11 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
         ],
         [Section("Tables", ("table", "rows"), [(n, t.rows) for n, t in sorted(snapshot.manifest.tables.items())])],
     )
-    printed.print(proof if proof.exit_code else proof.lines[0])
+    print_report(proof if proof.exit_code else proof.lines[0])
     if measured is not None:
-        printed.print(measured)
-    printed.print(closing)
-    printed.print(Report({}, [f"the page: open {page}"]))
+        print_report(measured)
+    print_report(closing)
+    print_report(Report({}, [f"the page: open {page}"]))
     return max(report.exit_code, proof.exit_code)
 
 

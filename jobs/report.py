@@ -10,18 +10,23 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["PIPE_WIDTH", "Report", "Section", "terminal"]
+__all__ = ["PIPE_WIDTH", "Report", "Section", "print_report"]
 
 PIPE_WIDTH: Final = 160
 """Width in columns of output that does not go to a terminal."""
 
 
-def terminal() -> Console:
+def _terminal() -> Console:
     """Create the console for reports. If the output is a file or a pipe, the console gets a fixed width, since rich
     would wrap at 80 columns.
     """
     console = Console()
     return console if console.is_terminal else Console(width=PIPE_WIDTH)
+
+
+def print_report(report: object) -> None:
+    """Print a report, or a line, on standard output. No line is cut at the width of the console."""
+    _terminal().print(report, crop=False)
 
 
 @dataclass

@@ -130,11 +130,14 @@ def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
 def spread(first: Mapping[tuple[str, str], Sequence[Item]], sample: int) -> list[Item]:
     """Choose `sample` items, evenly over categories, and within each category evenly over sources.
 
-    Where a source has no more, the others go on; where a category has none, the other categories do.
+    Where a source has no more, the others go on; where a category has none, the other categories do. Each category
+    begins with another source, so that a small sample is of several sources too.
     """
     queues: list[list[Item]] = []
-    for category in CATEGORIES:
+    for number, category in enumerate(CATEGORIES):
         of_sources = [first[key] for key in sorted(first) if key[0] == category]
+        begin = number % max(len(of_sources), 1)
+        of_sources = of_sources[begin:] + of_sources[:begin]
         longest = max(map(len, of_sources), default=0)
         queues.append([items[k] for k in range(longest) for items in of_sources if k < len(items)])
     picked = [queue[k] for k in range(sample) for queue in queues if k < len(queue)]

@@ -23,9 +23,9 @@ def answer(report: Any, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps(report.as_json(), ensure_ascii=False, sort_keys=True) + "\n")
     else:
-        from jobs.report import terminal
+        from jobs.report import print_report
 
-        terminal().print(report, crop=False)
+        print_report(report)
 
 
 def leave(code: int) -> None:
