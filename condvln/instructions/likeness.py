@@ -181,14 +181,16 @@ def _is_odd_sized(item: SceneObject) -> bool:
     return not least <= float(millimetres(sides).max()) <= most
 
 
-def twins(arrays: RoomArrays, rival: Bools) -> Bools:
-    """Return a mask (n,) of the objects that are about as tall as a rival with the same label. In a scan, two such
-    objects may be equally large in fact: the smaller box may show an object that was scanned only in part.
+def twins(arrays: RoomArrays, rival: Bools, unclear: Bools) -> Bools:
+    """Return a mask (n,) of the objects whose size can't be compared with that of a rival in a scan: a rival with the
+    same label is about as tall, so that the smaller box may show an object that was scanned only in part; or the box of
+    a rival is `unclear` (n,), such as that of a chair of which only the back was scanned.
     """
     labels = np.array(arrays.labels, dtype=object)
     height = millimetres(arrays.aabb_max)[:, 1] - millimetres(arrays.aabb_min)[:, 1]
     larger, smaller = np.maximum(height[:, None], height[None, :]), np.minimum(height[:, None], height[None, :])
-    return np.asarray((rival & (labels[:, None] == labels[None, :]) & (larger <= TWIN_HEIGHT * smaller)).any(axis=1))
+    alike = (labels[:, None] == labels[None, :]) & (larger <= TWIN_HEIGHT * smaller)
+    return np.asarray((rival & (alike | unclear)).any(axis=1))
 
 
 def fallen(arrays: RoomArrays) -> Bools:

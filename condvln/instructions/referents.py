@@ -258,12 +258,14 @@ class Referents:
         nameable = np.array([vocabulary.fit_for_text(label) for label in arrays.labels], dtype=bool) & seen
         nameable &= ~meant[:, sightings.in_doubt(arrays) & ~part].any(axis=1)
         nameable &= ~fallen(arrays)
-        nameable &= ~np.array([name in border.own for name in arrays.object_ids], dtype=bool)
         if border.labels:
             blocked, unplaced = blocked | border.labels, unplaced | border.labels
             nameable &= np.array([not vocabulary.overlapping(x) & border.labels for x in arrays.labels], dtype=bool)
+        unclear = np.array([name in border.own for name in arrays.object_ids], dtype=bool)
+        nameable &= ~unclear
         if family in SCANS:
-            nameable &= ~mistakable(arrays)
+            unclear |= mistakable(arrays)
+            nameable &= ~unclear
         rival = meant & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
@@ -282,7 +284,7 @@ class Referents:
             nameable=nameable,
             unique=unique,
             double=doubles(arrays, meant) if family in SCANS else np.zeros(len(arrays), dtype=bool),
-            twin=twins(arrays, rival) if family in SCANS else np.zeros(len(arrays), dtype=bool),
+            twin=twins(arrays, rival, unclear) if family in SCANS else np.zeros(len(arrays), dtype=bool),
             small=small,
             anchors=anchors,
             suits=_suits(sizes, np.asarray(fixed)),

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Set
 from functools import cached_property
 
 from condvln.scene import Room, SceneObject
+from condvln.verify.containment import FROM_SCANS
 from condvln.verify.likeness import (
     has_fallen,
     is_odd_sized,
@@ -110,10 +111,15 @@ class RoomView:
 
     def has_twin(self, thing: Thing) -> Thing | None:
         """Return another visible object that a word for `thing` might mean and whose size can't be compared with the
-        size of `thing`, since one of the two may be scanned only in part; None if there is none.
+        size of `thing`, since one of the two may be scanned only in part, or is not clear (`is_clear`) in a scan; None
+        if there is none.
         """
-        others = (x for x in self.meant(thing.label) if x is not thing and may_be_twins(thing, x, self._family))
-        return next(others, None)
+        scanned = self._family in FROM_SCANS
+        for other in self.meant(thing.label):
+            unclear = scanned and not self.is_clear(other)
+            if other is not thing and (unclear or may_be_twins(thing, other, self._family)):
+                return other
+        return None
 
     def may_be_foreign(self, label: str) -> bool:
         """Return whether a word for `label` might mean an object of another room that extends into this room."""

@@ -171,7 +171,7 @@ class Thresholds(Section):
         15.0, description="text may use a compass word up to this angle between the word's direction and the true one"
     )
     sector_false: Degrees = Field(
-        30.0,
+        45.0,
         description="minimum angle of a rival off the direction of a compass word, for the word to "
         "distinguish a thing from this rival",
     )
