@@ -381,7 +381,7 @@ NORTH = {"east of": (1, 0), "north-west of": (-1, 1), "south of": (0, -1)}
 """(east, north) of some sectors."""
 
 
-def beside(a: Box, b: Box, predicate: str, loose: int = 30, whole: bool = True) -> int:
+def beside(a: Box, b: Box, predicate: str, loose: int = 45, whole: bool = True) -> int:
     """Of centres alone unless `whole`."""
     return each(lambda p, q: _beside(p, q, NORTH[predicate], loose, whole), a, b)
 

@@ -105,8 +105,8 @@ GAP = 2 * HALF  # of centres of touching boxes
         ("east of", (0.499, 0, 0), 0),
         ("east of", (10, 0, 2.679), 1),  # tan 15° = 0.26795
         ("east of", (10, 0, 2.680), 0),
-        ("east of", (10, 0, 5.815), 0),  # tan 30° = 0.57735, from the nearest point of a footprint 0.2 m wide
-        ("east of", (10, 0, 5.816), -1),
+        ("east of", (10, 0, 9.999), 0),  # tan 45° = 1, from the nearest point of a footprint 0.2 m wide
+        ("east of", (10, 0, 10.001), -1),
         ("east of", (10, 4.142, 0), 1),  # tan 22.5° = 0.41421
         ("east of", (10, 4.143, 0), 0),
         ("east of", (-1, 3, 0), -1),
@@ -325,11 +325,11 @@ def test_a_superlative_needs_another_thing_of_its_label(make: Maker, room_of: Ro
         assert text_facts(relate_room(room, T), T).closest(rival)[0][0, 2] == expected
 
 
-@pytest.mark.parametrize(("z", "denied"), [(5.816, False), (17.320, False), (17.321, True), (-17.321, True)])
+@pytest.mark.parametrize(("z", "denied"), [(10.001, False), (17.320, False), (17.321, True), (-17.321, True)])
 def test_a_condition_denies_a_direction_where_another_is_meant(
     make: Maker, room_of: RoomOf, z: float, denied: bool
 ) -> None:
-    """From 30° off a word tells rivals apart; a condition is false from 60° off. tan 60° = 1.73205."""
+    """From 45° off a word tells rivals apart; a condition is false from 60° off. tan 60° = 1.73205."""
     facts = facts_of(make, room_of, (10, 0, z))
     assert facts.status["east of"][0, 1] == -1
     assert facts.denied["east of"][0, 1] == denied
@@ -340,13 +340,13 @@ def test_a_condition_denies_a_direction_where_another_is_meant(
     ("center", "expected"),
     [
         # In front of the east end: 45° from the middle, north of the nearest point; nobody calls it "not north".
-        ((1.4, 0.2, -1.4), {"north-east of": 0, "north of": 0, "east of": -1, "west of": -1, "south of": -1}),
+        ((1.4, 0.2, -1.4), {"north-east of": 0, "north of": 0, "east of": 0, "west of": -1, "south of": -1}),
         # Clear of the end on both axes, and seen as north-east from it.
         ((2.4, 0.2, -2.2), {"north-east of": 1, "north of": 0}),
         # A little beyond the end: 27.9° off north-east from its corner.
         ((1.9, 0.2, -1.6), {"north-east of": 0}),
         # In front of the middle, and a little aside of it.
-        ((0.2, 0.2, -1.4), {"north of": 1, "north-east of": -1, "east of": -1}),
+        ((0.2, 0.2, -1.4), {"north of": 1, "north-east of": 0, "east of": -1}),
         # In front of a place between middle and end: 27° off north from the middle.
         ((0.7, 0.2, -1.4), {"north of": 0, "north-east of": 0}),
         # Beyond the end, nearly in line with the counter.

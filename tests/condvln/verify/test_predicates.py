@@ -153,7 +153,7 @@ def test_higher_at_its_margins(up: int, expected: int) -> None:
 
 @pytest.mark.parametrize(
     ("degrees", "expected"),
-    [(0, TRUE), (14.9, TRUE), (15.1, UNDECIDED), (29.9, UNDECIDED), (30.1, FALSE), (180, FALSE)],
+    [(0, TRUE), (14.9, TRUE), (15.1, UNDECIDED), (44.9, UNDECIDED), (45.1, FALSE), (180, FALSE)],
 )
 def test_north_at_its_margins(degrees: float, expected: int) -> None:
     """North is −z: a thing with the smaller z lies north of the other."""
