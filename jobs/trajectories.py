@@ -102,7 +102,7 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
     work = _recipe_work(request, hashes) if request.recipe is not None else _export_work(request, hashes)
     hashes.save()
     refuse_export(work.target.export, folder)
-    expected = estimate(work.units, work.cameras)
+    expected = estimate(work.units, work.cameras, work.layouts, keep=not request.recipe_only)
     lines = plan_lines(expected, folder) + ([] if work.recipe is None else encoder_lines(work.recipe))
     if request.plan:
         return Report({"plan": asdict(expected)}, lines)

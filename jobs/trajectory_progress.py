@@ -59,9 +59,9 @@ def plan_lines(expected: Estimate, folder: Path) -> list[str]:
     parent = next(path for path in (folder, *folder.parents) if path.exists())
     free = shutil.disk_usage(parent).free / 1e9
     lines = [
-        f"{expected.episodes:,} episodes of {expected.scenes:,} scenes: about {expected.frames:,} frames, "
-        f"{expected.images:,} images, {expected.gigabytes:.2f} GB, {expected.hours:.2f} CPU hours; "
-        f"{free:.1f} GB are free"
+        f"{expected.episodes:,} episodes of {expected.scenes:,} scenes: about {expected.frames:,} frames, of which "
+        f"{expected.rendered:,} are rendered and the others show the same poses; {expected.images:,} images, "
+        f"{expected.gigabytes:.2f} GB, {expected.hours:.2f} CPU hours; {free:.1f} GB are free"
     ]
     if expected.gigabytes > free:
         lines.append(f"The disk of {folder} is too small for this.")

@@ -10,7 +10,7 @@ from condvln.sources.source import HashFile
 from condvln.trajectories.hub import SceneWalks
 from condvln.trajectories.recipe import Recipe
 from factory.unit import InputFile, Unit
-from jobs.trajectory_units import Target, configured, scene_handles, scene_unit
+from jobs.trajectory_units import FILMED, Frames, Target, configured, scene_handles, scene_unit
 from schemas.canonical import digest
 from schemas.errors import ProofError
 from schemas.trajectory_tables import TRAJECTORY_TABLES
@@ -41,7 +41,7 @@ def recipe_units(recipe: Recipe, target: Target, hash_file: HashFile) -> list[Un
             handles.get((family, scene_id)),
             inputs,
             {"episodes": scene.episodes},
-            scene.frames,
+            Frames(scene.frames, scene.poses, scene.told, scene.squared / FILMED),
             recipe.record.cameras,
         )
         for (family, scene_id), scene in sorted(scenes.items())

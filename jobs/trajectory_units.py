@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from condvln.export.contents import read_index
 from condvln.manifest import manifest_lines, manifest_path, manifest_paths
 from condvln.sources.source import HashFile, SceneHandle
-from condvln.trajectories.cameras import modality
+from condvln.trajectories.cameras import MAIN, modality
+from condvln.trajectories.uninavid import REDUCED
 from factory.machine import slowness
 from factory.unit import InputFile, Unit
 from jobs.configuration import load_config
@@ -27,6 +28,7 @@ from schemas.errors import InputError, MissingFileError, UsageError
 
 __all__ = [
     "Estimate",
+    "Frames",
     "Target",
     "configured",
     "estimate",
@@ -51,6 +53,16 @@ LEAST_STEPS: Final = 8.0
 LOOK_STEPS: Final = 25.0
 """Expected actions for looking at the evidence of one condition of the gold route, with the way there and back. Means
 over made scenes of three families: 20 to 32.
+"""
+SHARED: Final = {"recovery": 0.65, "exploration": 0.35}
+"""Share of the gold walk's frames whose poses a walk of this kind repeats. Means over made scenes of three families:
+0.60 to 0.72 and 0.31 to 0.42.
+"""
+FORKED: Final = 0.4
+"""Share of a gold walk's frames whose poses another gold walk from the same start has, too, until the two part."""
+FILMED: Final = 8.0
+"""A walk of n frames has n² / `FILMED` frames in Uni-NaVid's videos: one video for every fourth frame, of all frames so
+far.
 """
 
 
@@ -124,18 +136,44 @@ def configured(scenes: Sequence[str]) -> Config:
         raise UsageError(str(fault["msg"]), place="--scenes", remedy="Example: procthor=data/houses") from None
 
 
+@dataclass(frozen=True)
+class Frames:
+    """Expected numbers of frames.
+
+    own : of walks that have images of their own
+    rendered : distinct poses among them; the images of a pose are rendered once
+    told : of all walks; an oracle walk has the images of the gold walk
+    filmed : of all videos in Uni-NaVid's layout
+    """
+
+    own: float = 0.0
+    rendered: float = 0.0
+    told: float = 0.0
+    filmed: float = 0.0
+
+    def __add__(self, other: Frames) -> Frames:
+        return Frames(
+            self.own + other.own, self.rendered + other.rendered, self.told + other.told, self.filmed + other.filmed
+        )
+
+
 @dataclass
 class _Lines:
     """The manifest lines of one scene's episodes.
 
-    metres, conditions : of the gold routes of all episodes together
+    routes : starts, and starts with lengths, of the gold routes so far
     """
 
     numbers: list[int] = field(default_factory=list)
     size: int = 0
-    metres: float = 0.0
-    conditions: int = 0
+    frames: Frames = field(default_factory=Frames)
+    routes: set[str] = field(default_factory=set)
     state: Any = field(default_factory=hashlib.sha256)
+
+
+def _kinds(config: TrajectoryConfig) -> list[str]:
+    """Return the kinds of walks that have images of their own: an oracle walk has those of the gold walk."""
+    return sorted({"gold" if kind == "oracle" else kind for kind in config.walks})
 
 
 def _walks(kind: str, config: TrajectoryConfig) -> int:
@@ -143,16 +181,33 @@ def _walks(kind: str, config: TrajectoryConfig) -> int:
     return config.recoveries if kind == "recovery" else 1
 
 
-def _frames(kind: str, config: TrajectoryConfig, found: _Lines) -> float:
-    """Return the expected number of frames of all walks of a kind in one scene."""
-    episodes = len(found.numbers)
-    frames = STEPS_PER_METRE * found.metres + LEAST_STEPS * episodes
-    if kind == "recovery":
+def _frames(config: TrajectoryConfig, fields: Mapping[str, Any], routes: set[str]) -> Frames:
+    """Return the expected numbers of frames of one episode's walks.
+
+    fields : the episode's line of the manifest
+    routes : starts, and starts with lengths, of other gold routes in the scene; those of the episode are added
+    """
+    length, evidence = fields.get("route_length"), fields.get("evidence")
+    metres = float(length) if isinstance(length, int | float) else 0.0
+    gold = STEPS_PER_METRE * metres + LEAST_STEPS
+    more = {
         # A mistake of mean length, and as many actions to undo it.
-        frames += (config.least_mistake + config.most_mistake) * episodes
-    elif kind == "exploration":
-        frames += LOOK_STEPS * found.conditions
-    return frames * _walks(kind, config)
+        "recovery": config.least_mistake + config.most_mistake,
+        "exploration": LOOK_STEPS * (len(evidence) if isinstance(evidence, list) else 1),
+    }
+    start = repr([fields.get("start_position"), fields.get("start_rotation")])
+    again, forked = f"{start} {length}" in routes, start in routes
+    routes |= {start, f"{start} {length}"}
+    kinds = _kinds(config)
+    found = Frames()
+    for kind in kinds:
+        each, count = gold + more.get(kind, 0.0), _walks(kind, config)
+        shared = SHARED.get(kind, 0.0) * gold if "gold" in kinds else 0.0
+        # Episodes of one route have the same gold walk and the same evidence; each has mistakes of its own.
+        rendered = each - shared if kind == "recovery" else 0.0 if again else each - shared - FORKED * gold * forked
+        told = count * (2 if kind == "gold" and "oracle" in config.walks else 1)
+        found += Frames(count * each, count * rendered, told * each, told * each**2 / FILMED)
+    return found
 
 
 def list_units(
@@ -170,13 +225,8 @@ def list_units(
         found.numbers.append(line.number)
         found.size += len(line.text)
         found.state.update(hashlib.sha256(line.text).digest())
-        length = fields.get("route_length")
-        found.metres += float(length) if isinstance(length, int | float) else 0.0
-        evidence = fields.get("evidence")
-        found.conditions += len(evidence) if isinstance(evidence, list) else 1
+        found.frames += _frames(config, fields, found.routes)
     handles = scene_handles(target, {scene for _, scene in lines}, hash_file)
-    # An oracle walk has the images of the gold walk.
-    kinds = sorted({"gold" if kind == "oracle" else kind for kind in config.walks})
     units = []
     for (family, scene_id), found in sorted(lines.items()):
         units.append(
@@ -191,9 +241,9 @@ def list_units(
                     "episodes": len(found.numbers),
                     "roots": [str(root) for root in target.roots],
                 },
-                sum(_frames(kind, config, found) for kind in kinds),
+                found.frames,
                 cameras,
-                float(sum(_walks(kind, config) for kind in kinds) * len(found.numbers)),
+                float(sum(_walks(kind, config) for kind in _kinds(config)) * len(found.numbers)),
             )
         )
     return units
@@ -205,14 +255,14 @@ def scene_unit(
     handle: tuple[SourceConfig, SceneHandle] | None,
     inputs: Sequence[InputFile],
     payload: Mapping[str, Any],
-    frames: float,
+    frames: Frames,
     cameras: Mapping[str, CameraConfig],
     walks: float = 0.0,
 ) -> Unit:
     """Return the unit of one scene; it holds an error if no source has the scene, or the scene can't be listed.
 
     inputs, payload : of the walks; those of the scene are added
-    frames, walks : expected number of frames, and of walks that have to be found
+    frames, walks : expected numbers of frames, and of walks that have to be found
     """
     fault = _missing(family, scene_id) if handle is None else handle[1].fault
     own: dict[str, Any] = {"scene_id": scene_id, "family": family}
@@ -228,8 +278,8 @@ def scene_unit(
         unit_id=f"{family}/{scene_id}",
         partition=family,
         inputs=tuple(files),
-        payload={**own, **payload},
-        costs={"walks": 0.02 * walks, "frames": 1.0 + frames * pixels * PIXEL_SECONDS},
+        payload={**own, **payload, "frames": dict(asdict(frames))},
+        costs={"walks": 0.02 * walks, "frames": 1.0 + frames.rendered * pixels * PIXEL_SECONDS},
         memory=memory,
         fault=fault,
     )
@@ -262,24 +312,54 @@ def _missing(family: str, scene_id: str) -> InputError:
 class Estimate:
     """What a run is expected to make and to cost, before it starts.
 
-    frames : frames of all walks; images : files; gigabytes : of them; hours : CPU hours on this machine
+    frames : frames of all walks that have images of their own
+    rendered : distinct poses among them; each is rendered once for every camera
+    images : image files of the hub
+    gigabytes : files of the hub and of the layouts that hold copies of its images; none without images
+    hours : CPU hours on this machine
     """
 
     scenes: int
     episodes: int
     frames: int
+    rendered: int
     images: int
     gigabytes: float
     hours: float
 
 
-def estimate(units: Sequence[Unit], cameras: Mapping[str, CameraConfig]) -> Estimate:
-    """Estimate a run from the lengths of the routes."""
-    pixels = sum(camera.width * camera.height for camera in set(cameras.values()))
-    frames = sum(max(unit.costs["frames"] - 1.0, 0.0) for unit in units) / (pixels * PIXEL_SECONDS)
-    size = sum(math.sqrt(c.width * c.height) * EDGE_BYTES[modality(name)] for name, c in cameras.items())
+def estimate(
+    units: Sequence[Unit], cameras: Mapping[str, CameraConfig], layouts: Sequence[str] = (), *, keep: bool = True
+) -> Estimate:
+    """Estimate a run from the lengths of the routes.
+
+    layouts : those that are written beside the hub
+    keep : images are written; otherwise they are only rendered and hashed
+    """
+    frames = Frames()
+    for unit in units:
+        expected = unit.payload["frames"]
+        assert isinstance(expected, dict)
+        frames += Frames(**{name: float(str(count)) for name, count in expected.items()})
+    size = sum(_image_bytes(name, camera) for name, camera in cameras.items())
+    written = frames.own * size
+    if "lerobot" in layouts:
+        written += frames.told * size
+    if "uninavid" in layouts:
+        written += frames.filmed * _image_bytes(MAIN, cameras[MAIN]) / REDUCED
     episodes = sum(count for unit in units if isinstance(count := unit.payload["episodes"], int))
     seconds = sum(unit.cost for unit in units) * slowness()
     return Estimate(
-        len(units), episodes, round(frames), round(frames * len(cameras)), frames * size / 1e9, seconds / 3600
+        len(units),
+        episodes,
+        round(frames.own),
+        round(frames.rendered),
+        round(frames.own * len(cameras)),
+        written / 1e9 if keep else 0.0,
+        seconds / 3600,
     )
+
+
+def _image_bytes(name: str, camera: CameraConfig) -> float:
+    """Return the expected bytes of an image file of a camera."""
+    return math.sqrt(camera.width * camera.height) * EDGE_BYTES[modality(name)]

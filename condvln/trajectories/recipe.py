@@ -7,7 +7,7 @@ before it is used.
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -76,10 +76,17 @@ class RecipeRecord(BaseModel):
 
 
 class RecipeScene(NamedTuple):
-    """The size of one scene of a recipe: its number of episodes, and the number of frames to render."""
+    """The size of one scene of a recipe.
+
+    frames : of the walks that have images of their own; poses : distinct ones among them, each rendered once
+    told : frames of all walks; squared : the sum of their squared numbers of frames
+    """
 
     episodes: int
     frames: int
+    poses: int
+    told: int
+    squared: int
 
 
 class Recipe:
@@ -108,23 +115,30 @@ class Recipe:
 
     @cached_property
     def scenes(self) -> dict[tuple[str, str], RecipeScene]:
-        """The scenes of the recipe by (family, id), each with its numbers of episodes and frames.
+        """The scenes of the recipe by (family, id), each with its size.
 
         Raises
         ------
         MissingFileError, FormatError : a table is missing or damaged
         """
-        frames: defaultdict[tuple[str, str], int] = defaultdict(int)
+        found: defaultdict[tuple[str, str], Counter[str]] = defaultdict(Counter)
         episodes: defaultdict[tuple[str, str], set[int]] = defaultdict(set)
-        for name in ("left_out", "poses"):
-            scenes = self._read(name, columns=["source", "scene_id"]).group_by(["source", "scene_id"]).aggregate([])
-            frames |= {(row["source"], row["scene_id"]): 0 for row in scenes.to_pylist()}
+        for row in self._read("left_out", columns=["source", "scene_id"]).to_pylist():
+            found[row["source"], row["scene_id"]].update()
+        poses = self._read("poses", columns=["source", "scene_id", "position", "heading"]).flatten()
+        for row in poses.group_by(poses.column_names).aggregate([]).to_pylist():
+            found[row["source"], row["scene_id"]]["poses"] += 1
         columns = ["source", "scene_id", "episode_id", "trajectory", "frames_of", "n_frames"]
         for row in self._read("trajectories", columns=columns).to_pylist():
             scene = row["source"], row["scene_id"]
             episodes[scene].add(row["episode_id"])
-            frames[scene] += row["n_frames"] if row["frames_of"] == row["trajectory"] else 0
-        return {scene: RecipeScene(len(episodes[scene]), count) for scene, count in frames.items()}
+            count = row["n_frames"]
+            own = count if row["frames_of"] == row["trajectory"] else 0
+            found[scene].update(frames=own, told=count, squared=count**2)
+        return {
+            scene: RecipeScene(len(episodes[scene]), sums["frames"], sums["poses"], sums["told"], sums["squared"])
+            for scene, sums in found.items()
+        }
 
     def tables(self, family: str, scene_id: str) -> dict[str, pa.Table]:
         """Return the tables ``trajectories``, ``steps`` and ``left_out`` of one scene.

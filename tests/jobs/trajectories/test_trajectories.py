@@ -237,4 +237,34 @@ def test_a_plan_makes_nothing(asked: Request, made: Path, tmp_path: Path) -> Non
     record = json.loads((made / "trajectories.json").read_bytes())
     assert plan["episodes"] == record["episodes"]
     assert record["frames"] * 0.75 < plan["frames"] < record["frames"] * 1.3
-    assert record["bytes"] / 2 < plan["gigabytes"] * 1e9 < record["bytes"] * 2
+    poses = {(row["scene_id"], *row["position"].values(), row["heading"]) for row in rows(made, "poses")}
+    assert len(poses) * 0.75 < plan["rendered"] < len(poses) * 1.4
+    assert len(poses) < record["frames"] * 0.75
+    # Hard links cost nothing; LeRobot's tables and Uni-NaVid's videos hold copies.
+    files = {path.stat().st_ino: path.stat().st_size for path in made.rglob("*") if path.is_file()}
+    held = sum(
+        path.stat().st_size for name in ("lerobot", "uninavid") for path in (made / name).rglob("*.[mp][pa][4r]*")
+    )
+    assert held > record["bytes"]
+    assert sum(files.values()) / 2 < plan["gigabytes"] * 1e9 < sum(files.values()) * 2
+    alone = make_trajectories(to(asked, tmp_path / "planned", plan=True, layouts=("streamvln", "internvla-n1")))
+    assert record["bytes"] / 2 < alone.document["plan"]["gigabytes"] * 1e9 < record["bytes"] * 2
+    assert alone.document["plan"]["hours"] == pytest.approx(plan["hours"])
+    assert f"of which {plan['rendered']:,} are rendered" in alone.lines[0]
+    bare = make_trajectories(to(asked, tmp_path / "planned", plan=True, recipe_only=True)).document["plan"]
+    assert bare == {**plan, "gigabytes": 0.0, "hours": pytest.approx(plan["hours"])}
+
+
+def test_walks_without_shared_poses_are_all_rendered(asked: Request, tmp_path: Path) -> None:
+    """A recovery alone shares its poses with no walk that is made."""
+    recovery = WALKS.model_copy(update={"walks": ("recovery",)})
+    plan = make_trajectories(to(asked, tmp_path / "out", plan=True, config=recovery)).document["plan"]
+    assert plan["rendered"] == plan["frames"]
+
+
+def test_the_plan_of_a_recipe_counts_its_poses(asked: Request, made: Path, tmp_path: Path) -> None:
+    recipe = to(asked, tmp_path / "out", target="", recipe=made / "recipe", plan=True)
+    plan = make_trajectories(recipe).document["plan"]
+    poses = {(row["scene_id"], *row["position"].values(), row["heading"]) for row in rows(made, "poses")}
+    record = json.loads((made / "trajectories.json").read_bytes())
+    assert (plan["rendered"], plan["frames"]) == (len(poses), record["frames"])
