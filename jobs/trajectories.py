@@ -19,6 +19,7 @@ from condvln.compiled import warm_up
 from condvln.formats.image_files import encoders
 from condvln.formats.streams import atomic_stream
 from condvln.manifest import manifest_lines, manifest_path
+from condvln.sensors.textures import decoders
 from condvln.trajectories.cameras import Cameras, hub_cameras
 from condvln.trajectories.hub import SceneWalks, write_hub, write_tables
 from condvln.trajectories.images import IMAGES, clear_parts, folders_of
@@ -44,6 +45,7 @@ from jobs.report import Report
 from jobs.stages.trajectories import FrameStage, RecipeStage, WalkStage
 from jobs.store_lock import alone
 from jobs.trajectory_images import forget_damaged
+from jobs.trajectory_notes import note_lines, scene_notes
 from jobs.trajectory_progress import Speed, plan_lines
 from jobs.trajectory_recipe import Comparison, encoder_lines, recipe_target, recipe_units, scene_files
 from jobs.trajectory_request import STATE, Request, refuse_strangers, trajectory_config
@@ -197,6 +199,7 @@ class _Run:
         if done.exit_code != ABORTED and done.snapshot_id is not None:
             counts = self._assemble(Snapshot.open(store, REF), pipeline, report)
             report.document |= counts
+            report.lines += note_lines(counts["notes"])
             report.lines.append(
                 f"{counts['trajectories']:,} walks of {counts['episodes']:,} episodes, {counts['images']:,} images, "
                 f"{counts['bytes'] / 1e9:.2f} GB in {self.folder}"
@@ -240,6 +243,7 @@ class _Run:
                     shutil.rmtree(path)
         terms = licences(unit.partition for unit in work.units)
         libraries = {name: metadata.version(name) for name in _LIBRARIES}
+        notes = scene_notes(snapshot, pipeline, work.units)
         record = {
             "schema_version": SCHEMA_VERSION,
             "split": work.target.split,
@@ -255,6 +259,8 @@ class _Run:
             "scene_files": {unit.unit_id: scene_files(unit) for unit in work.units if unit.fault is None},
             "libraries": libraries,
             "encoders": dict(encoders()),
+            "decoders": decoders(),
+            "notes": notes,
         }
         with atomic_stream(self.folder / "README.md") as stream:
             stream.write(read_me(work.target.split, terms, RECIPE_FILES, images=keep).encode())
@@ -266,7 +272,7 @@ class _Run:
                     link(self.folder / name, part / name)
         if compared is not None:
             self._compare(report, compared, libraries)
-        return {**counts, "kinds": kinds, "folder": str(self.folder)}
+        return {**counts, "kinds": kinds, "notes": notes, "folder": str(self.folder)}
 
     def _compare(self, report: Report, compared: Comparison, libraries: dict[str, str]) -> None:
         """Add to the report whether the images are those of the recipe."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from condvln.formats.image_files import encoders, encoders_of
+from condvln.sensors.textures import decoders
 from condvln.sources.source import HashFile
 from condvln.trajectories.hub import SceneWalks
 from condvln.trajectories.recipe import Recipe
@@ -15,7 +17,7 @@ from schemas.canonical import digest
 from schemas.errors import ProofError
 from schemas.trajectory_tables import TRAJECTORY_TABLES
 
-__all__ = ["Comparison", "encoder_lines", "recipe_target", "recipe_units", "scene_files"]
+__all__ = ["Comparison", "encoder_lines", "other_decoders", "recipe_target", "recipe_units", "scene_files"]
 
 
 def recipe_target(recipe: Recipe, scenes: tuple[str, ...]) -> Target:
@@ -56,16 +58,28 @@ def scene_files(unit: Unit) -> str:
 
 def encoder_lines(recipe: Recipe) -> list[str]:
     """Return a sentence for each kind of image that another encoder, or another version, writes here than wrote the
-    recipe's: its files have other bytes.
+    recipe's, so that its files have other bytes, and for each kind of texture that another decoder reads here.
     """
     theirs, ours = encoders_of(recipe.record.libraries, recipe.record.encoders), encoders()
     kinds = sorted({name.partition(".")[0] for name in recipe.record.cameras})
     suffixes = {"rgb": "jpg", "depth": "png"}
-    return [
+    lines = [
         f"{theirs.get(suffix, 'An unnamed encoder')} wrote the {suffix} files of the recipe; "
         f"{ours[suffix]} writes them here: bytes may differ"
         for suffix in (suffixes[kind] for kind in reversed(kinds))
         if theirs.get(suffix) != ours[suffix]
+    ]
+    return lines + other_decoders(recipe.record.decoders, decoders())
+
+
+def other_decoders(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]:
+    """Return a sentence for each kind of texture that another decoder, or another version, reads here than read it when
+    the images were made: the colours may differ. Older records name no decoders.
+    """
+    return [
+        f"Textures ({kind}): read by {theirs[kind]} when the images were made, by {ours[kind]} here; colours may differ"
+        for kind in sorted(theirs.keys() & ours.keys())
+        if theirs[kind] != ours[kind]
     ]
 
 

@@ -15,12 +15,14 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from condvln.sensors import Renderer, open_renderer
+from condvln.sensors.textures import decoders
 from condvln.sources.source import Source, hash_file
 from condvln.verify.exploration import Onlooker
 from condvln.verify.trajectories import TrajectoryWorld, prove_trajectories
 from jobs.oracle import linear_text
 from jobs.pipeline import open_configured
 from jobs.report import Report
+from jobs.trajectory_recipe import other_decoders
 from jobs.trajectory_units import Target
 from schemas.config import WordingConfig
 from schemas.errors import MissingFileError, ProofError
@@ -49,6 +51,7 @@ def verify_trajectories(target: Target, folder: Path, *, render_every: int = REN
     if proof.looked_for:
         lines.append(f"{proof.looked_for:,} conditions of exploration walks: their evidence was looked for again")
     lines += [f"{name}: {count:,} rows compared with the images and poses" for name, count in proof.layout_rows.items()]
+    lines += other_decoders(proof.decoders, decoders())
     lines += [str(fault) for fault in proof.faults[:SHOWN]]
     if len(proof.faults) > SHOWN:
         lines.append(f"… and {len(proof.faults) - SHOWN:,} more, see --json")

@@ -6,6 +6,7 @@ import io
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["KTX2", "MAX_BYTES", "MAX_EDGE", "Texels", "allowed_edge", "is_readable", "read_picture", "stored"]
+__all__ = [
+    "KTX2",
+    "MAX_BYTES",
+    "MAX_EDGE",
+    "Texels",
+    "allowed_edge",
+    "decoders",
+    "is_readable",
+    "read_picture",
+    "stored",
+]
 
 MAX_EDGE: Final = 1024
 """Largest kept size in texels of a texture's longer side. A camera of 640 columns one metre from a surface of 2 m × 2 m
@@ -68,6 +79,16 @@ def allowed_edge(used: int) -> int:
 def is_readable(mime: str) -> bool:
     """Return whether a decoder for images of a media type is installed."""
     return mime in READABLE or (mime == KTX2 and find_spec("opengl_basisu") is not None)
+
+
+def decoders() -> dict[str, str]:
+    """Return the decoder of each kind of texture, with its version; ``none`` where it is not installed. The colours of
+    a scene depend on both.
+    """
+    found = {"jpeg, png, webp": f"Pillow {metadata.version('pillow')}", "ktx2": "none"}
+    if is_readable(KTX2):
+        found["ktx2"] = f"opengl_basisu {metadata.version('opengl-basisu')}"
+    return found
 
 
 def read_picture(data: bytes, mime: str, edge: int = MAX_EDGE) -> list[Bytes] | None:

@@ -47,6 +47,7 @@ class RecipeRecord(BaseModel):
 
     scene_files : hash over the source files of each scene, by ``<family>/<scene>``
     encoders : what wrote the images, with its version, by suffix; empty in older records
+    decoders : what read the textures, with its version, by their kinds; empty in older records
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -59,6 +60,7 @@ class RecipeRecord(BaseModel):
     scene_files: dict[str, str] = {}
     libraries: dict[str, str] = {}
     encoders: dict[str, str] = {}
+    decoders: dict[str, str] = {}
 
     @model_validator(mode="before")
     @classmethod

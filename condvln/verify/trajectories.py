@@ -86,7 +86,8 @@ class TrajectoryWorld:
 @dataclass
 class TrajectoryProof:
     """How many walks, frames, images and layout rows were checked, how many images were rendered again, of how many
-    conditions exploration walks had to see the evidence, and which faults were found.
+    conditions exploration walks had to see the evidence, and which faults were found; what read the textures when the
+    images were made, by kind of texture.
     """
 
     walks: int = 0
@@ -95,6 +96,7 @@ class TrajectoryProof:
     rendered: int = 0
     looked_for: int = 0
     layout_rows: dict[str, int] = field(default_factory=dict)
+    decoders: Mapping[str, str] = field(default_factory=dict)
     faults: list[TrajectoryFault] = field(default_factory=list)
 
 
@@ -108,7 +110,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     record = _record(folder)
     cameras = {name: CameraConfig(**camera) for name, camera in record["cameras"].items()}
     images = record["config"] | {"encoders": record["encoders"]}
-    proof = TrajectoryProof()
+    proof = TrajectoryProof(decoders=record["decoders"])
     written = record["images_written"]
     entries = {str(entry.get("trajectory")): entry for entry in _annotations(folder)} if written else {}
     walks = _table(folder, "trajectories").to_pylist()
@@ -430,6 +432,7 @@ def _record(folder: Path) -> dict[str, Any]:
             "cameras": {name: _camera(name, camera) for name, camera in dict(found["cameras"]).items()},
             "config": _config(found["config"]),
             "encoders": encoders_of(_texts(found, "libraries"), _texts(found, "encoders")),
+            "decoders": _texts(found, "decoders"),
             "layouts": list(found["layouts"]),
             "split": str(found["split"]),
             "images_written": bool(found.get("images_written", True)),

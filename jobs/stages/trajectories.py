@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+import orjson
 import pyarrow as pa
 
 from condvln.episodes.view import SceneView
@@ -17,6 +18,8 @@ from condvln.formats.image_files import encoders
 from condvln.manifest import manifest_lines
 from condvln.navigation.navmesh_folder import NavmeshFolder
 from condvln.sensors import Renderer, open_renderer
+from condvln.sensors.assembly import OWNERS_BY_BOX
+from condvln.sensors.textures import decoders
 from condvln.trajectories.exploration import Explorer
 from condvln.trajectories.images import ImageWriter
 from condvln.trajectories.recipe import Recipe
@@ -32,10 +35,13 @@ from schemas.config import CameraConfig, LimitsConfig, TrajectoryConfig, Wording
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["NO_IMAGES", "STAMP", "FrameStage", "RecipeStage", "WalkStage", "stamp_path"]
+__all__ = ["NOTES", "NO_IMAGES", "STAMP", "FrameStage", "RecipeStage", "WalkStage", "stamp_path"]
 
 STAMP: Final = "stamp"
 """File of a commit of ``frames`` that says which images it wrote; see `stamp_path`."""
+
+NOTES: Final = "notes"
+"""File of a commit of ``frames`` that holds a JSON list: how the images are known to deviate from real views."""
 
 NO_IMAGES: Final = b"none"
 """Content of `STAMP` where the images were rendered and hashed, and not written."""
@@ -161,18 +167,22 @@ class FrameStage(Stage):
             "cameras": {name: dump(camera) for name, camera in self.cameras.items()},
             "images": {key: getattr(self.config, key) for key in sorted(_IMAGE_KEYS)},
             "encoders": dict(encoders()),
+            "decoders": decoders(),
             **({} if self.keep else {"keep": False}),
         }
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         steps = upstream["steps"]
         stamp = self._stamped(unit, steps) if self.keep else NO_IMAGES
-        writer = ImageWriter(self.folder, self._renderer(unit), self.cameras, self.config, keep=self.keep)
+        renderer = self._renderer(unit)
+        # There are no images of instances.
+        notes = [note for note in renderer.notes if note != OWNERS_BY_BOX]
+        writer = ImageWriter(self.folder, renderer, self.cameras, self.config, keep=self.keep)
         poses = writer.write(steps)
         size = sum(poses["bytes"].to_pylist())
         return StageOutput(
             tables={"poses": poses},
-            files={STAMP: stamp},
+            files={STAMP: stamp, NOTES: orjson.dumps(notes)},
             measures={"images": float(poses.num_rows), "image_bytes": float(size)},
         )
 

@@ -1,0 +1,87 @@
+"""Which decoder read the textures is part of the images' key, and what is missing in the images is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from condvln.sensors.renderer import Renderer, open_renderer
+from condvln.sensors.textures import decoders
+from factory.unit import Unit
+from jobs.stages import trajectories as stages
+from jobs.stages.trajectories import FrameStage
+from jobs.trajectories import Request, make_trajectories
+from jobs.trajectory_notes import note_lines
+from jobs.trajectory_recipe import other_decoders
+from schemas.config import TrajectoryConfig
+from tests.jobs.trajectories.made import TINY, proven
+from tests.jobs.trajectories.test_recipe import again, recipe
+
+__all__ = ["recipe"]
+
+UNREAD = "textures: 1 can't be read, in a.glb; their surfaces have their material's colour"
+
+
+def test_the_key_of_images_has_the_decoder_of_ktx2(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    unit = Unit(unit_id="made/one", partition="made", inputs=())
+
+    def key(spec: object, version: str) -> str:
+        monkeypatch.setattr("condvln.sensors.textures.find_spec", lambda name: spec)
+        monkeypatch.setattr("condvln.sensors.textures.metadata.version", lambda name: version)
+        stage = FrameStage(tmp_path, tmp_path, {"rgb": TINY}, TrajectoryConfig())
+        return json.dumps(stage.parameters(unit))
+
+    monkeypatch.setattr(stages, "encoders", dict)
+    assert len({key(None, "1"), key(object(), "1"), key(object(), "2")}) == 3
+    assert decoders()["ktx2"] == "opengl_basisu 2"
+
+
+def test_what_is_missing_in_images_is_said_again_by_a_run_that_finds_all_made(
+    asked: Request, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def noted(*given: Any) -> Renderer:
+        renderer = open_renderer(*given)
+        renderer.notes = (*renderer.notes, UNREAD)
+        return renderer
+
+    monkeypatch.setattr(stages, "open_renderer", noted)
+    request = again(asked, recipe, tmp_path / "out", recipe_only=True)
+    first = make_trajectories(request)
+    ((scene, notes),) = first.document["notes"].items()
+    assert UNREAD in notes
+    assert f"{scene}: {UNREAD}" in first.lines
+    second = make_trajectories(request)
+    assert second.document["counts"]["fresh"] == second.document["counts"]["total"]
+    assert second.document["notes"] == first.document["notes"]
+    assert f"{scene}: {UNREAD}" in second.lines
+    record = json.loads((tmp_path / "out" / "trajectories.json").read_bytes())
+    assert record["notes"] == first.document["notes"]
+    assert record["decoders"] == decoders()
+
+
+def test_another_decoder_is_named(asked: Request, made: Path, recipe: Path, tmp_path: Path) -> None:
+    record = json.loads((recipe / "trajectories.json").read_bytes())
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for path in recipe.iterdir():
+        (theirs / path.name).write_bytes(path.read_bytes())
+    record["decoders"]["ktx2"] = "opengl_basisu 0.0.1"
+    (theirs / "trajectories.json").write_text(json.dumps(record | {"images_written": False}))
+    (said,) = other_decoders(record["decoders"], decoders())
+    assert "opengl_basisu 0.0.1" in said
+    assert said in make_trajectories(again(asked, theirs, tmp_path / "out", plan=True)).lines
+    assert said in proven(asked, theirs, render_every=0).lines
+    assert other_decoders({}, decoders()) == other_decoders(decoders(), decoders()) == []
+
+
+def test_notes_are_told_once_with_their_scenes_and_not_without_end() -> None:
+    notes = {f"made/{k:02d}": ["of all", *([f"of {k}"] if k < 11 else [])] for k in range(12)}
+    lines = note_lines(notes)
+    assert lines[0] == "made/00, made/01, made/02 and 9 more scenes: of all"
+    assert lines[1] == "made/00: of 0"
+    assert lines[-1] == "… and 2 more notes, see notes in trajectories.json"
+    assert len(lines) == 11
+    assert note_lines({}) == []
