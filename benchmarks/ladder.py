@@ -2,20 +2,22 @@
 
 ``python -m benchmarks ladder`` makes episodes in made scenes, and in real ones where their folder is there
 (CONDVLN_REAL_DATA, or shared/data beside the checkout), walks every agent through them, and writes the tables of
-docs/ladder.md. CONDVLN_LADDER sets the number of episodes of a category and scene. Errors are paired: a level keeps the
-errors of the one below.
+docs/ladder.md. CONDVLN_LADDER sets the number of episodes of a category and scene, CONDVLN_LADDER_WORKERS that of
+processes. Errors are paired: a level keeps the errors of the one below. With CONDVLN_LADDER_ROWS, a file, every scene's
+results are added to it once its agents have walked; a run that was stopped goes on from there.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,8 +39,8 @@ PAGE: Final = REPOSITORY / "docs" / "ladder.md"
 MARK: Final = "<!-- ladder: python -m benchmarks ladder -->"
 REAL: Final = Path(os.environ.get("CONDVLN_REAL_DATA", REPOSITORY.parent / "shared" / "data"))
 PER_CATEGORY: Final = int(os.environ.get("CONDVLN_LADDER", "1"))
-MADE: Final = {"procthor": 2, "replicacad": 2}
-SCANNED: Final = {"procthor": 2, "ithor": 3}
+MADE: Final = {"procthor": 6, "replicacad": 6}
+SCANNED: Final = {"procthor": 12, "ithor": 7, "replicacad": 6}
 LEVELS: Final = (0.0, 0.1, 0.2, 0.3)
 GUESSERS: Final = ("oracle", "coin-flip", "nearest", "random-leaf")
 OTHERS: Final = {
@@ -73,36 +75,33 @@ def agents() -> dict[str, LookerConfig | str]:
     return rungs | OTHERS | {name: name for name in GUESSERS if name != "oracle"}
 
 
-def scenes_of(data: str) -> tuple[Any, list[str]]:
-    """Return the source of ``made/<family>`` or ``real/<family>``, and the ids of the scenes that are taken."""
+@cache
+def scenes_of(data: str) -> tuple[Any, list[str], Any]:
+    """Return the source of ``made/<family>`` or ``real/<family>``, the ids of the scenes that are taken, and how usual
+    labels are in them.
+    """
     kind, _, family = data.partition("/")
     if kind == "real":
         source = open_source(family, REAL / family)
-        return source, source.scene_ids()[: SCANNED[family]]
-    folder = Path(tempfile.mkdtemp(prefix="ladder"))
-    make_samples(folder, family=family, scenes=MADE[family], seed=11)
-    source = open_source(family, folder)
-    return source, source.scene_ids()
+        names = source.scene_ids()[: SCANNED[family]]
+    else:
+        folder = Path(tempfile.mkdtemp(prefix="ladder"))
+        make_samples(folder, family=family, scenes=MADE[family], seed=11)
+        source = open_source(family, folder)
+        names = source.scene_ids()
+    return source, names, label_priors(source.read(name) for name in names)
 
 
-@lru_cache(maxsize=1)
-def episodes(data: str) -> list[tuple[World, list[Task]]]:
-    """The episodes of some scenes, a scene at a time."""
-    source, names = scenes_of(data)
-    priors = label_priors(source.read(name) for name in names)
+def walked(job: tuple[str, int]) -> list[Row]:
+    """Walk every agent through the episodes of one scene, given by its data and its number there."""
+    data, number = job
+    source, names, priors = scenes_of(data)
+    if number >= len(names):
+        return []
+    world = open_world(source, names[number])
     wanted = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), counterfactual_groups=0)
-    found = []
-    for name in names:
-        world = open_world(source, name)
-        found.append((world, [task_of(row) for row in world.episodes(instructions=wanted, priors=priors)]))
-    return found
-
-
-def walked(job: tuple[str, str]) -> list[Row]:
-    """Walk one agent through the episodes of some scenes."""
-    data, name = job
-    rung = agents()[name]
-    return [row for world, tasks in episodes(data) for row in in_scene(data, name, rung, world, tasks)]
+    tasks = [task_of(row) for row in world.episodes(instructions=wanted, priors=priors)]
+    return [row for name, rung in agents().items() for row in in_scene(data, name, rung, world, tasks)]
 
 
 def in_scene(data: str, name: str, rung: LookerConfig | str, world: World, tasks: Sequence[Task]) -> Iterator[Row]:
@@ -205,14 +204,31 @@ def page(rows: Sequence[Row]) -> str:
     )
 
 
+def walked_all(jobs: Sequence[tuple[str, int]]) -> list[Row]:
+    """Walk every agent through all scenes, except those whose results are in the file of CONDVLN_LADDER_ROWS."""
+    kept = Path(os.environ["CONDVLN_LADDER_ROWS"]) if "CONDVLN_LADDER_ROWS" in os.environ else None
+    done: dict[tuple[str, int], list[Row]] = {}
+    if kept is not None and kept.exists():
+        for line in kept.read_text(encoding="utf-8").splitlines():
+            data, number, rows = json.loads(line)
+            done[data, number] = [Row(**row) for row in rows]
+    left = [job for job in jobs if job not in done]
+    with ProcessPoolExecutor(int(os.environ.get("CONDVLN_LADDER_WORKERS", "2"))) as pool:
+        for job, rows in zip(left, pool.map(walked, left), strict=True):
+            done[job] = rows
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps([*job, [asdict(row) for row in rows]]) + "\n")
+    return [row for job in jobs for row in done[job]]
+
+
 def main() -> None:
     """Walk all agents and write the page."""
-    data = [f"made/{family}" for family in MADE]
-    data += [f"real/{family}" for family in SCANNED if (REAL / family).is_dir()]
-    jobs = [(one, name) for one in data for name in agents()]
-    with ProcessPoolExecutor(int(os.environ.get("CONDVLN_LADDER_WORKERS", "2"))) as pool:
-        rows = [row for found in pool.map(walked, jobs) for row in found]
-    text = page(rows)
+    counts = {f"made/{family}": count for family, count in MADE.items()}
+    counts |= {f"real/{family}": count for family, count in SCANNED.items() if (REAL / family).is_dir()}
+    # In turn, so that a run that is stopped has scenes of all data.
+    jobs = [(data, number) for number in range(max(counts.values())) for data in counts if number < counts[data]]
+    text = page(walked_all(jobs))
     before = PAGE.read_text(encoding="utf-8").split(MARK)[0] if PAGE.exists() else "# The ladder\n\n"
     PAGE.write_text(f"{before}{MARK}\n\n{text}\n", encoding="utf-8")
     sys.stdout.write(f"{text}\n\n{PAGE}\n")

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from condvln.evaluation.looker.floor_map import CELL, F64, Ground, Ways
+from condvln.evaluation.looker.floor_map import CELL, F64, Bools, Ground, Ways
 from condvln.evaluation.looker.memory import Thing
 from schemas.config.constants import FURNITURE_DETOUR
 
@@ -68,8 +69,7 @@ def approach(
     low = ground.cell(*(flat.min(axis=0) - FAR_REACH).tolist())
     high = ground.cell(*(flat.max(axis=0) + FAR_REACH).tolist())
     part = slice(low[0], high[0] + 1), slice(low[1], high[1] + 1)
-    own = ground.region[part]
-    rows, columns = np.nonzero((own == thing.room) | (own < 0) | (thing.room < 0))
+    rows, columns = np.nonzero(_in_room(ground, part, thing.room))
     rows, columns = rows + low[0], columns + low[1]
     places = ground.places(rows, columns)
     away, nearest = (np.asarray(found) for found in cKDTree(flat).query(places))
@@ -94,7 +94,7 @@ def approach(
         if not beside:
             return None
         closest = float(away[beside].min())
-        beside = [k for k in beside if away[k] <= closest + 0.2]
+        beside = [k for k in beside if away[k] <= closest + CELL]
     elif closest <= SURE_REACH:
         beside = [k for k in beside if away[k] <= SURE_REACH]
     chosen = np.array(beside, np.intp)
@@ -114,6 +114,21 @@ def approach(
         if apart[old] < CELL / 2 and cost[old] <= cost[best] + KEPT:
             best = old
     return Approach(np.asarray(places[chosen[best]], np.float64), True)
+
+
+def _in_room(ground: Ground, part: tuple[slice, slice], room: int) -> Bools:
+    """Return the cells of a part of the map that are in a room, or of which nothing is known.
+
+    A cell beside a wall may take the number of the room behind it, so most of the floor around it must be of the room.
+    """
+    own, floor = ground.region[part], ground.passable[part]
+    if room < 0:
+        return np.ones_like(floor)
+    inside = (own == room) | (own < 0)
+    around = np.ones((3, 3), np.int64)
+    of_room = ndimage.convolve((inside & floor).astype(np.int64), around, mode="constant")
+    every = ndimage.convolve(floor.astype(np.int64), around, mode="constant")
+    return np.asarray(inside & (~floor | (2 * of_room >= every)))
 
 
 def _unseen_floor(
