@@ -122,18 +122,30 @@ class Explorer:
         towards = np.mean(beyond, axis=0) if beyond and not rooms & self.been else None
         return self._another_room(here, targets & (inside | ground.frontier), phrase, rooms, towards)
 
-    def nearer(self, thing: Thing, here: Here) -> F64 | None:
-        """Return the position that can be reached and is the nearest to an object, no floor beside which is known; None
-        if the agent is as near already.
+    def nearer(self, thing: Thing, move: Phrase, here: Here) -> F64 | None:
+        """Return the position that can be reached and is the nearest to an object, no floor beside which is known. If
+        no floor of the object's room can be reached, return one from which a way into the room may be found. Return
+        None if the agent is as near already.
         """
         ground, middle = here.ground, thing.middle[[0, 2]]
-        rows, columns = np.nonzero(ground.passable & np.isfinite(here.ways.distance) & self._open_to(ground))
+        within = ground.passable & np.isfinite(here.ways.distance) & self._open_to(ground)
+        entered = thing.room < 0 or bool(ground.region[ground.cell(*here.place.tolist())] == thing.room)
+        if not entered:
+            inside = within & (ground.region == thing.room)
+            target = None if inside.any() else self.sought(move, here)
+            if target is not None:
+                return target
+            within = inside if inside.any() else within
+            entered = not inside.any()
+        rows, columns = np.nonzero(within)
         if not len(rows):
             return None
         places = ground.places(rows, columns)
         away = np.hypot(*(places - middle).T)
         best = int(np.argmin(away))
-        return places[best] if away[best] < np.hypot(*(here.place - middle)) - SAME / 2 else None
+        if entered and away[best] >= np.hypot(*(here.place - middle)) - SAME / 2:
+            return None
+        return np.asarray(places[best], np.float64)
 
     def _open_to(self, ground: Ground) -> Bools:
         """Return the cells that are not near a position that was given up."""

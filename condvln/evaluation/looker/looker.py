@@ -223,7 +223,7 @@ class Looker:
                 continue
             found = self._way_to(thing)
             if found is None:
-                nearer = self._explorer.nearer(thing, self._here())
+                nearer = self._explorer.nearer(thing, move, self._here())
                 if nearer is None:
                     self._next_move()
                     continue
