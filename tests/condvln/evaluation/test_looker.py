@@ -324,17 +324,55 @@ def test_new_rooms_come_before_what_furniture_hides_in_known_ones() -> None:
 
 def test_it_goes_nearer_to_a_thing_that_it_sees_from_afar() -> None:
     ground, here = two_ways_on()
+    sink = Phrase("sink")
     far = Thing(0, "sink", 1, surface(np.array([5.0, 0.5, -0.1]), np.array([5.2, 0.7, 0.1])), 4.0, 0)
     assert approach(far, ground, here.ways, here.place) is None
     explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
-    place = explorer.nearer(far, here)
+    place = explorer.nearer(far, sink, here)
     assert place is not None
     np.testing.assert_allclose(place, [1.45, 0.0], atol=0.06)
     there = Here(place, 0.0, ground, ground.ways_from(*place.tolist()))
-    assert explorer.nearer(far, there) is None
+    assert explorer.nearer(far, sink, there) is None
     explorer.give_up(place)
-    other = explorer.nearer(far, here)
+    other = explorer.nearer(far, sink, here)
     assert other is None or np.hypot(*(other - place)) > 0.3
+
+
+def test_it_goes_round_to_the_room_of_a_thing_that_it_sees_but_can_not_come_near() -> None:
+    """A wall without a door is between it and a sink close to the wall; unseen floor is at the left."""
+    ground, _ = two_ways_on()
+    ground.shut[20] = ground.tall[20] = True
+    ground.passable[19:22] = False
+    ground.cost[19:22] = np.inf
+    pose = np.array([-0.6, 0.0])
+    here = Here(pose, 0.0, ground, ground.ways_from(*pose))
+    sink = Thing(0, "sink", 1, surface(np.array([1.9, 0.5, -0.1]), np.array([2.1, 0.7, 0.1])), 2.5, 0)
+    memory = Memory()
+    memory.rooms.update({0: "living room", 1: "kitchen"})
+    explorer = Explorer(Referents(memory, None, 3.0), 3.0)
+    place = explorer.nearer(sink, Phrase("sink", room=Place("kitchen")), here)
+    assert place is not None
+    np.testing.assert_allclose(place[0], -1.65, atol=0.06)  # not to the wall, which is nearer to the sink
+
+
+def test_it_does_not_stop_behind_the_wall_on_which_a_thing_hangs() -> None:
+    """Beside a wall, cells behind it may have the number of the room before it."""
+    ground = floor_with_a_bed(unseen_left=False)
+    ground.shut[1:39, 1:39] = ground.tall[1:39, 1:39] = False
+    ground.shut[20] = ground.tall[20] = True
+    ground.passable[1:39, 1:39] = True
+    ground.passable[20] = False
+    ground.cost[:] = np.where(ground.passable, 1.0, np.inf)
+    ground.passable[30:, 1:3] = False
+    ground.region[:20], ground.region[20:] = 0, 1
+    ground.region[21, 18] = 0
+    painting = Thing(0, "painting", 0, surface(np.array([-0.1, 1.3, -0.5]), np.array([-0.05, 1.8, 0.0])), 1.5, 0)
+    behind = np.array([0.5, -0.15])
+    assert approach(painting, ground, ground.ways_from(*behind), behind) is None
+    before = np.array([-1.0, -0.15])
+    found = approach(painting, ground, ground.ways_from(*before), before)
+    assert found is not None
+    assert found.place[0] < 0
 
 
 def test_unseen_floor_counts_up_to_the_first_obstacle() -> None:
