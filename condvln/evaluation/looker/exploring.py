@@ -123,29 +123,22 @@ class Explorer:
         return self._another_room(here, targets & (inside | ground.frontier), phrase, rooms, towards)
 
     def nearer(self, thing: Thing, move: Phrase, here: Here) -> F64 | None:
-        """Return the position that can be reached and is the nearest to an object, no floor beside which is known. If
-        no floor of the object's room can be reached, return one from which a way into the room may be found. Return
-        None if the agent is as near already.
+        """Return the position that can be reached and is the nearest to an object, no floor beside which is known; on
+        the floor of the object's room, if any of it can be reached. If there is none, or the agent is as near already,
+        return a position from which a way to the object may be found; None if nothing is left to explore.
         """
         ground, middle = here.ground, thing.middle[[0, 2]]
-        within = ground.passable & np.isfinite(here.ways.distance) & self._open_to(ground)
+        floor = ground.passable & np.isfinite(here.ways.distance)
         entered = thing.room < 0 or bool(ground.region[ground.cell(*here.place.tolist())] == thing.room)
-        if not entered:
-            inside = within & (ground.region == thing.room)
-            target = None if inside.any() else self.sought(move, here)
-            if target is not None:
-                return target
-            within = inside if inside.any() else within
-            entered = not inside.any()
-        rows, columns = np.nonzero(within)
-        if not len(rows):
-            return None
-        places = ground.places(rows, columns)
-        away = np.hypot(*(places - middle).T)
-        best = int(np.argmin(away))
-        if entered and away[best] >= np.hypot(*(here.place - middle)) - SAME / 2:
-            return None
-        return np.asarray(places[best], np.float64)
+        rows, columns = np.nonzero(floor & ((ground.region == thing.room) | (thing.room < 0)))
+        if len(rows):
+            places = ground.places(rows, columns)
+            away = np.hypot(*(places - middle).T)
+            best = int(np.argmin(away))
+            nearer = not entered or away[best] < np.hypot(*(here.place - middle)) - SAME / 2
+            if nearer and self._open_to(ground)[rows[best], columns[best]]:
+                return np.asarray(places[best], np.float64)
+        return self.sought(move, here)
 
     def _open_to(self, ground: Ground) -> Bools:
         """Return the cells that are not near a position that was given up."""
