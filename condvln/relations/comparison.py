@@ -103,15 +103,15 @@ def _size(item: SceneObject) -> _Size | None:
 
 
 def between_facts(
-    centers: F64, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
+    arrays: RoomArrays, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
 ) -> tuple[Status, F64]:
     """Return the status and the margin of the statements "object i is between a and b", (n, p) each, for p `pairs` of
     anchors a and b.
 
-    centers (n, 3) : metres; pairs (p, 2) : indices of the anchors
+    pairs (p, 2) : indices of the anchors
     compound (n,) : objects of several boxes; their centres say little, so their status is 0
     """
-    ground = millimetres(centers[:, [0, 2]])
+    ground = millimetres(arrays.centers[:, [0, 2]])
     a, b = pairs[:, 0], pairs[:, 1]
     along = ground[b] - ground[a]  # (p, 2)
     squared = along[:, 0] * along[:, 0] + along[:, 1] * along[:, 1]
@@ -127,9 +127,23 @@ def between_facts(
     true = fit & clear & floor[:, None] & (part >= t.between_true) & (part <= 1.0 - t.between_true)
     true &= off <= exact_mm(t.between_off_true)
     false = fit & ((part < t.between_false) | (part > 1.0 - t.between_false) | (off >= exact_mm(t.between_off_false)))
+    false &= ~_amid(arrays, ground, pairs)
     status = true.astype(np.int8) - false.astype(np.int8)
     status[compound] = 0
     status[a, np.arange(len(pairs))] = 0
     status[b, np.arange(len(pairs))] = 0
     margin: F64 = np.where(true, inner / t.between_true, 1.0 + off / 1000.0)
     return status, margin
+
+
+def _amid(arrays: RoomArrays, ground: F64, pairs: NDArray[np.intp]) -> Mask:
+    """Return (n, p) whether the centre of each object, `ground` (n, 2) in millimetres, is in the gap between the boxes
+    of two anchors that face each other, in the part that both flank. Far from the line of the centres of two long
+    counters, a thing in the aisle is between them all the same.
+    """
+    low, high = (millimetres(corner[:, [0, 2]])[pairs] for corner in (arrays.aabb_min, arrays.aabb_max))
+    first, last = low.max(axis=1), high.min(axis=1)  # (p, 2): what the anchors share; where they don't, last < first
+    at = ground[:, None]
+    flanked, gap = (first <= at) & (at <= last), (last <= at) & (at <= first)
+    found: Mask = (gap[..., 0] & flanked[..., 1]) | (flanked[..., 0] & gap[..., 1])
+    return found

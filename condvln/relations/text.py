@@ -76,7 +76,7 @@ class TextFacts:
         """Return the status and the margin of the statements "object i is between a and b", (n, p) each. `pairs` (p, 2)
         has the indices of each a and b.
         """
-        return between_facts(self._arrays.centers, self._whole, self._compound, pairs, self._thresholds)
+        return between_facts(self._arrays, self._whole, self._compound, pairs, self._thresholds)
 
     def closest(self, rival: Mask) -> tuple[Status, F64]:
         """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each.

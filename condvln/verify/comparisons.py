@@ -79,8 +79,8 @@ def _upright(thing: Thing) -> tuple[float, float, float]:
 
 
 def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t: Thresholds) -> Judgement:
-    """Return whether the subject is between the two anchors: on the floor, near the line of the anchors' centres, about
-    half way along this line.
+    """Return whether the subject is between the two anchors: true if it is on the floor, near the line of the anchors'
+    centres, about half way along this line; false if it is far from there, unless both anchors face it.
     """
     a, b = anchors
     if a.box is None or b.box is None or subject in anchors or any(x.pieces for x in (subject, a, b)):
@@ -102,7 +102,23 @@ def lies_between(subject: Thing, anchors: Sequence[Thing], room: Surroundings, t
         and off <= whole_mm(t.between_off_true)
     )
     false = part < t.between_false or part > 1.0 - t.between_false or off >= whole_mm(t.between_off_false)
+    false = false and not _faced_by_both(subject, a, b)
     return judged(true, false, {"part": round(part, 3)}, off_line=off, anchors_apart=math.sqrt(squared))
+
+
+def _faced_by_both(subject: Thing, a: Thing, b: Thing) -> bool:
+    """Return whether the straight way through the subject's centre, along one ground axis, leads from the one anchor's
+    box to the other's; both must have a box.
+    """
+    assert a.box is not None
+    assert b.box is not None
+    for way, across in ((0, 2), (2, 0)):
+        at, aside = subject.centre[way], subject.centre[across]
+        if not all(box[0][across] <= aside <= box[1][across] for box in (a.box, b.box)):
+            continue
+        if any(one[1][way] <= at <= other[0][way] for one, other in ((a.box, b.box), (b.box, a.box))):
+            return True
+    return False
 
 
 def _nearest(one: Thing, other: Thing) -> float:

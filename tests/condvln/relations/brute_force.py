@@ -329,6 +329,12 @@ def between(a: Box, b: Box, c: Box, floor: int) -> int:
         and Fraction(3, 10) <= part <= Fraction(7, 10)
         and off <= 400 * 400
     )
+    for way, across in ((0, 2), (2, 0)):
+        # A step from the one anchor to the other, straight through the middle of the thing.
+        if all(anchor.lo[across] <= a.at[across] <= anchor.hi[across] for anchor in (b, c)):
+            near, far = sorted((b, c), key=lambda anchor: anchor.at[way])
+            if near.hi[way] <= a.at[way] <= far.lo[way]:
+                return verdict(true, False)
     return verdict(true, part < Fraction(1, 10) or part > Fraction(9, 10) or off >= 800 * 800)
 
 

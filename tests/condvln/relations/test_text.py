@@ -366,6 +366,27 @@ def test_a_long_counter_lies_in_a_direction_from_all_of_it(
     assert {predicate: int(facts.status[opposite[predicate]][0, 1]) for predicate in expected} == expected
 
 
+@pytest.mark.parametrize(
+    ("center", "status"),
+    [
+        ((0.1, 0.2, 0.0), 1),
+        ((1.0, 0.2, 0.0), 0),  # far from the line of the centres, and between the counters all the same
+        ((1.5, 0.2, 0.7), 0),  # at the corner of the shorter one
+        ((1.501, 0.2, 0.0), -1),  # beyond its end
+        ((0.0, 0.2, 1.301), -1),  # behind one
+        ((0.0, 0.2, -2.0), -1),  # behind the other
+    ],
+)
+def test_what_is_between_long_counters_is_not_denied(
+    make: Maker, room_of: RoomOf, center: Sequence[float], status: int
+) -> None:
+    """Counters 3 and 4 m long, face to face 1.4 m apart, and a thing between or beside them."""
+    counters = [make("counter", (0, 0.45, 1.0), (1.5, 0.45, 0.3)), make("island", (0, 0.45, -1.0), (2.0, 0.45, 0.3))]
+    arrays = replace(room_of([*counters, make("thing", center, (0.1, 0.2, 0.1))]), floor_y=0.0)
+    found, _ = text_facts(relate_room(arrays, T), T).between(np.array([[0, 1], [1, 0]]))
+    assert found[2].tolist() == [status, status]
+
+
 def test_a_condition_does_not_deny_a_direction_from_the_nearest_point(make: Maker, room_of: RoomOf) -> None:
     """64° off north from the counter's middle, but straight in front of its end."""
     counter, thing = make("counter", (0, 0.45, 0), (1.5, 0.45, 0.3)), make("thing", (1.5, 0.2, -0.7), (0.1, 0.2, 0.1))
