@@ -22,15 +22,17 @@ from types import FunctionType
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import event as numba_event
 
 from condvln.collector import no_collection
 from condvln.kernel_cache import KernelCache
 
-__all__ = ["compilation_reported_to", "compiled", "inlined", "register_warm_up", "warm_up"]
+__all__ = ["compilation_reported_to", "compiled", "constant", "inlined", "register_warm_up", "warm_up"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
+C = TypeVar("C", int, bool)
 Notify = Callable[[str], None]
 
 _OPTIONS: Final = {
@@ -61,6 +63,14 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     results are the same. A call from Python, as in tests, compiles it by itself.
     """
     return _dispatcher(function, {**_OPTIONS, "inline": "always"})
+
+
+def constant(value: C) -> C:
+    """Return a constant that kernels hand to kernels, as a scalar of NumPy.
+
+    For each integer or truth value of Python, numba would compile the kernel that gets it once more.
+    """
+    return cast("C", np.bool_(value) if isinstance(value, bool) else np.int64(value))
 
 
 def _dispatcher(function: Callable[P, R], options: Mapping[str, object]) -> Callable[P, R]:

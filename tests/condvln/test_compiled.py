@@ -148,6 +148,24 @@ def test_a_change_in_another_folder_is_noticed(kernels: Path, tmp_path: Path, ed
     assert len(cached(tmp_path)) > before
 
 
+@pytest.mark.parametrize(("one", "files"), [("constant(1)", 2), ("1", 3)])
+def test_a_constant_does_not_compile_its_kernel_once_more(kernels: Path, tmp_path: Path, one: str, files: int) -> None:
+    """As an integer of Python does, for whose value alone numba compiles the kernel."""
+    source = f"""
+from condvln.compiled import compiled, constant
+ONE = {one}
+@compiled
+def callee(x, more):
+    return x + more
+@compiled
+def double(x):
+    return callee(x, ONE) + callee(x, x)
+"""
+    (kernels / "kernel.py").write_text(source)
+    assert run(kernels, tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "cache")).stdout == "64\n"
+    assert len(cached(tmp_path)) == files
+
+
 def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
     """Inlined at two places, a kernel would be compiled twice; one that Python calls is compiled by itself anyway."""
     package = Path(condvln.__path__[0])

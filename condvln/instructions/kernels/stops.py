@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, register_warm_up
+from condvln.compiled import compiled, constant, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, index
 
 __all__ = ["FAILURES", "MOST_MOVES", "TargetTables", "draw_stops", "fits"]
@@ -17,6 +17,7 @@ Longs = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
 NONE: Final = -1
+WITHOUT_WAYPOINTS: Final = constant(0)
 """In place of a target: there is none."""
 
 NO_TARGETS: Final = 0
@@ -314,8 +315,8 @@ def _draw_goals(
     unused = np.empty(len(held), np.bool_)
     for k in range(len(held)):
         unused[k] = held[k] & drawable[k]
-    if not fits(unused, unused, n, 0, tables):
-        return LABEL_OVER_CAP if fits(held, held, n, 0, tables) else NO_TARGETS
+    if not fits(unused, unused, n, WITHOUT_WAYPOINTS, tables):
+        return LABEL_OVER_CAP if fits(held, held, n, WITHOUT_WAYPOINTS, tables) else NO_TARGETS
     allowed, free = unused.copy(), held.copy()
     rest, spare = np.empty(len(held), np.bool_), np.empty(len(held), np.bool_)
     count = 0

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.kernels.geometry import (
     GREATEST,
     ONE,
@@ -41,8 +41,11 @@ REACH_BELOW = np.float32(0.2)
 NAVIGABLE_SHIFT = np.float32(1e-2)
 
 NO_POLYGON = -1
-ANY_ISLAND = -1
+ANY_ISLAND = constant(-1)
 NAN = np.float32(np.nan)
+
+BOUNDARY_ONLY, ALL_EDGES = constant(True), constant(False)
+OVER_ONLY, AROUND = constant(True), constant(False)
 
 
 @compiled
@@ -55,7 +58,7 @@ def height_on_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) 
         if found:
             return True, height
     # There are only degenerate triangles here: the point is on an edge.
-    _, y, _ = nearest_on_detail_edges(mesh, poly, x, z, False)
+    _, y, _ = nearest_on_detail_edges(mesh, poly, x, z, ALL_EDGES)
     return True, y
 
 
@@ -127,10 +130,10 @@ def nearest_polygon(
     if math.floor((high_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) < ZERO:
         return nothing
     # Most points are above a polygon, whose box is one of few tree boxes that contain the point.
-    below = _nearest_within(mesh, x, y, z, island, REACH_BELOW, True)
+    below = _nearest_within(mesh, x, y, z, island, REACH_BELOW, OVER_ONLY)
     if below[0] != NO_POLYGON:
         return below
-    return _nearest_within(mesh, x, y, z, island, REACH_GROUND, False)
+    return _nearest_within(mesh, x, y, z, island, REACH_GROUND, AROUND)
 
 
 @compiled
@@ -184,7 +187,7 @@ def _nearest_within(
                 node += 1
                 continue
             else:
-                cx, cy, cz = nearest_on_detail_edges(mesh, index, x, z, True)
+                cx, cy, cz = nearest_on_detail_edges(mesh, index, x, z, BOUNDARY_ONLY)
                 dx, dy, dz = x - cx, y - cy, z - cz
                 d = dx * dx + dy * dy + dz * dz
             if d < best and (d <= ZERO or not over_only):

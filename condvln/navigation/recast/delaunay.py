@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]
 
 # Marks the side of an edge that has no triangle.
-UNDECIDED = -1
-HULL = -2
+UNDECIDED = constant(-1)
+HULL = constant(-2)
+# The first number of an edge or of a triangle.
+FIRST = constant(0)
 # Capacity for edges that Recast reserves per point.
 EDGES_PER_POINT = 10
 # Least doubled area of a triangle in square metres.
@@ -51,13 +53,13 @@ def delaunay(points: Array, n: int, hull: Array, n_hull: int, edges: Array, tria
     triangles : (>= 2 * EDGES_PER_POINT * n, 3) int64, output
     """
     most = EDGES_PER_POINT * n
-    n_edges = 0
-    faces = 0
+    n_edges = FIRST
+    faces = FIRST
     j = n_hull - 1
     for i in range(n_hull):
         n_edges = _add_edge(edges, n_edges, most, hull[j], hull[i], HULL, UNDECIDED)
         j = i
-    e = 0
+    e = FIRST
     while e < n_edges:
         if edges[e, 2] == UNDECIDED:
             n_edges, faces = _complete(points, n, edges, n_edges, most, faces, e)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, constant
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.compact import CompactHeightfield
 
@@ -19,6 +19,8 @@ FAR_8 = 0xFF
 FAR_16 = 0xFFFF
 # The field is not blurred within this many half cells of the border.
 BLUR_FROM = 2
+# The four sides of a cell, in the order of ``neighbour``.
+SIDE_0, SIDE_1, SIDE_2, SIDE_3 = constant(0), constant(1), constant(2), constant(3)
 
 
 def erode(field: CompactHeightfield, walkable_radius: int) -> Array:
@@ -62,11 +64,11 @@ def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
             distance[i] = 0
     # Forward from -x and -z with their diagonals, then backward from +x and +z.
     for i in range(spans):
-        _relax(neighbour, distance, i, 0, 3)
-        _relax(neighbour, distance, i, 3, 2)
+        _relax(neighbour, distance, i, SIDE_0, SIDE_3)
+        _relax(neighbour, distance, i, SIDE_3, SIDE_2)
     for i in range(spans - 1, -1, -1):
-        _relax(neighbour, distance, i, 2, 1)
-        _relax(neighbour, distance, i, 1, 0)
+        _relax(neighbour, distance, i, SIDE_2, SIDE_1)
+        _relax(neighbour, distance, i, SIDE_1, SIDE_0)
     return distance
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.compact import CompactHeightfield
 from schemas.errors import FormatError
@@ -20,8 +20,11 @@ __all__ = ["watershed"]
 LEVELS_AT_ONCE = 8
 LEVEL_SHIFT = 1
 # Steps that a region grows at each level, and at the end.
-EXPAND_STEPS = 8
-FINAL_EXPAND_STEPS = 64
+EXPAND_STEPS = constant(8)
+FINAL_EXPAND_STEPS = constant(64)
+LAST_LEVEL = constant(0)
+# As a count of spans in hand.
+NO_SPANS = constant(0)
 # Recast marks the borders of tiles with this bit of a region's id.
 REGION_LIMIT = 0x8000
 UNREACHED = 0xFFFF
@@ -67,7 +70,7 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
     stack = np.empty(spans, np.int32)
     dirty = np.empty((spans, 3), np.int32)
     count = 0
-    held = 0
+    held = NO_SPANS
     next_id = 1
     level = (highest + 1) & ~1
     turn = -1
@@ -76,7 +79,7 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
         turn = (turn + 1) % LEVELS_AT_ONCE
         if turn == 0:
             _sort_by_level(level, area, region, distance, sorted_spans, bucket)
-            held = 0
+            held = NO_SPANS
         # Spans left over from the previous level come after those of this level.
         begin, end = bucket[turn], bucket[turn + 1]
         kept = 0
@@ -96,12 +99,12 @@ def _watershed(neighbour: Array, area: Array, distance: Array, highest: int) -> 
                 next_id += 1
                 if next_id > REGION_LIMIT:
                     return region, count
-    held = 0
+    held = NO_SPANS
     for i in range(spans):
         if region[i] == 0 and area[i] != 0:
             work[held] = i
             held += 1
-    _expand(FINAL_EXPAND_STEPS, 0, neighbour, area, region, reach, work, held, dirty)
+    _expand(FINAL_EXPAND_STEPS, LAST_LEVEL, neighbour, area, region, reach, work, held, dirty)
     return region, count
 
 
