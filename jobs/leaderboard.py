@@ -89,7 +89,7 @@ def score_benchmark(
     if out is not None:
         with atomic_stream(out) as stream:
             stream.write(orjson.dumps(board.model_dump(mode="json"), option=orjson.OPT_INDENT_2) + b"\n")
-    return _report(board, out)
+    return _report(board, out, asked=references)
 
 
 def _references(export: Path, split: str, roots: Sequence[Path], scenes: Sequence[str]) -> list[Evaluation]:
@@ -155,9 +155,11 @@ def _board(record: BenchmarkRecord, split: str, found: list[tuple[Evaluation, Le
     )
 
 
-def _report(board: Leaderboard, out: Path | None) -> Report:
-    lines = [f"{board.benchmark} {board.version}, split {board.split}, snapshot {board.snapshot_id}"]
-    if not any(row.agent == LOOKER for row in board.rows):
+def _report(board: Leaderboard, out: Path | None, *, asked: bool) -> Report:
+    """Return the board for people; `asked` tells whether rows of reference agents were."""
+    episodes = f", {board.rows[0].episodes:,} episodes" if board.rows else ""
+    lines = [f"{board.benchmark} {board.version}, split {board.split}{episodes}, snapshot {board.snapshot_id}"]
+    if asked and not any(row.agent == LOOKER for row in board.rows):
         lines.append(f"no row {LOOKER}: name the scenes with --scenes FAMILY=DIR to walk this agent too")
     if board.draft:
         lines.append("this version is a draft: do not publish these numbers as results")

@@ -226,6 +226,22 @@ def test_a_board_ranks_references_and_submissions(built: tuple[Path, Any], datas
     assert any("this version is a draft" in line for line in report.lines)
 
 
+def test_results_by_episode_need_no_navmesh_without_references(built: tuple[Path, Any], tmp_path: Path) -> None:
+    """What such results don't have is undefined, and nothing is said about agents that nobody asked for."""
+    export = built[0].parent / "export"
+    lines = (export / "manifest" / "val_unseen.jsonl").read_text().splitlines()
+    ids = [str(json.loads(line)["episode_id"]) for line in lines]
+    results = {name: {"success": float(k % 2), "spl": 0.5} for k, name in enumerate(ids)}
+    (tmp_path / "theirs.json").write_text(json.dumps(results))
+    report = score_benchmark(export, "val_unseen", [tmp_path / "theirs.json"], references=False)
+    assert f"split val_unseen, {len(ids)} episodes, snapshot " in report.lines[0]
+    assert not any("looker" in line for line in report.lines)
+    (row,) = report.document["rows"]
+    assert row["measures"]["success"]["mean"] == pytest.approx((len(ids) // 2) / len(ids), abs=1e-6)
+    for name in ("spl_route", "csr_all", "bsa_all", "leaf_correct", "ndtw"):
+        assert row["measures"][name]["mean"] is None
+
+
 def test_a_board_needs_the_export_of_its_record(built: tuple[Path, Any], tmp_path: Path) -> None:
     export = shutil.copytree(built[0].parent / "export", tmp_path / "export")
     index = json.loads((export / "export.json").read_text())
