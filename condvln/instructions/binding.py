@@ -39,6 +39,8 @@ class _Listener:
 
     asks : (context, condition, truth of the "if", or None for a question), in order
     supposed : the same for the last "if", also for one with an answer
+    leading : the leaf that was said before its condition: "go to the lamp if …"
+    unless : whether the claim is behind "unless", so that the opposite is supposed
     """
 
     asks: list[tuple[Context, int, bool | None]] = field(default_factory=list)
@@ -46,6 +48,8 @@ class _Listener:
     context: Context = ()
     listed: bool = False
     leaves: dict[int, list[Context]] = field(default_factory=dict)
+    leading: int | None = None
+    unless: bool = False
 
 
 def findings(words: Language, category: Category, template: Template) -> Iterator[Finding]:
@@ -110,8 +114,8 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
                     previous_ifs, sentence_ifs = sentence_ifs, 0
             elif name in (";", ":"):
                 listener.context = sentence if name == ";" or sentence else listener.context
-            elif name == "if":
-                supposing = True
+            elif name in ("if", "unless"):
+                supposing, listener.unless = True, name == "unless"
             elif name in ("so", "not"):
                 context, condition, truth = _latest(listener)
                 if name == "so" and truth is False:
@@ -144,7 +148,9 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
 
     agreeing : whether "yes" is said as "if so", which agrees with a denial too
     """
-    if slot.form == "leaf":
+    if slot.form == "leaf" and not listener.context and not supposing and not listener.asks:
+        listener.leading = slot.index
+    elif slot.form == "leaf":
         listener.leaves.setdefault(slot.index, []).append(listener.context)
     elif slot.form in ("yes", "no", "lacks", "again", "not_again"):
         context, condition, truth = _latest(listener)
@@ -154,12 +160,17 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
             raise ValueError(f"the answer about condition {slot.index} comes after condition {condition} was asked")
         listener.supposed = (context, condition, slot.form in ("yes", "again"))
         listener.context = (*context, (condition, slot.form in ("yes", "again")))
+    elif slot.form == "neither":
+        asked = {condition for _, condition, _ in listener.asks}
+        if not supposing or not asked >= {slot.index, slot.other}:
+            raise ValueError(f'"neither" comes before conditions {slot.index} and {slot.other} were asked')
+        listener.context = (*listener.context, (slot.index, False), (slot.other, False))
     elif slot.form in ("question", "see"):
         listener.asks.append((listener.context, slot.index, None))
     elif not supposing:
         raise ValueError('a claim without "if"')
     else:
-        truth = slot.form in ("asserted", "joined")
+        truth = (slot.form in ("asserted", "joined")) != listener.unless
         before = listener.context
         asked_in = [context for context, condition, _ in listener.asks if condition == slot.index]
         if asked_in and not before:
@@ -169,6 +180,10 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
         listener.asks.append((before, slot.index, truth))
         listener.supposed = (before, slot.index, truth)
         listener.context = (*before, (slot.index, truth))
+        if listener.leading is not None:
+            listener.leaves.setdefault(listener.leading, []).append(listener.context)
+            listener.leading = None
+        listener.unless = False
 
 
 def _latest(listener: _Listener) -> tuple[Context, int, bool | None]:

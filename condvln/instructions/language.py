@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, Final, Literal
 
 import yaml
@@ -43,26 +44,35 @@ CONDITION_LETTERS: Final = "ABC"
 LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
-    "exists", "absent", "exists_again", "is_there", "is", "is_not", "is_again", "asks_is",
+    "exists", "absent", "exists_again", "absent_again", "neither_a", "nor_a",
+    "is_there", "is", "is_not", "is_again", "asks_is",
     "see", "check", "for", "look", "look_at", "it_is", "it_is_not", "yes_one", "no_one", "yes_it", "no_it",
-    "also", "nor", "same_place",
+    "has", "has_no", "to",
+    "also", "nor", "also_a", "there_also", "same_place",
     "go", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
 
 Form = Literal[
-    "asserted", "denied", "joined", "not_joined", "question", "see", "yes", "no", "lacks", "again", "not_again", "leaf"
-]
+    "asserted", "denied", "joined", "not_joined", "neither", "question", "see", "yes", "no", "lacks", "again",
+    "not_again", "leaf"
+]  # fmt: skip
 
 _WORDS_OF: Final[Mapping[Form, int]] = {
-    "asserted": 8, "denied": 8, "joined": 7, "not_joined": 7, "question": 8, "see": 9, "yes": 2, "no": 2, "lacks": 3,
-    "again": 4, "not_again": 4, "leaf": 0,
+    "asserted": 8, "denied": 8, "joined": 7, "not_joined": 7, "neither": 6, "question": 8, "see": 9, "yes": 2,
+    "no": 2, "lacks": 3, "again": 4, "not_again": 4, "leaf": 0,
 }  # fmt: skip
 """Approximate number of words of a slot's phrase."""
 
+_ANSWER_WORDS: Final[Mapping[Form, int]] = {"yes": 3, "no": 3, "lacks": 3, "neither": 6}
+"""Approximate number of words of the answers, whatever was asked."""
 _ASKING: Final = frozenset({"asserted", "denied", "joined", "not_joined", "question", "see"})
 """Forms that state a condition in full, so that a text may begin with them."""
+_STATING: Final = frozenset({"asserted", "denied", "joined", "not_joined", "again", "not_again"})
+"""Forms that state a condition in a clause of its own."""
+MOST_STATED: Final = 2
+"""How often a text states a condition that is named with its relation each time."""
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
 _FORMS: Final[Mapping[str, Form]] = {
@@ -81,12 +91,17 @@ class Noun:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot of a template: the place where the phrase of a condition (in some form) or of a leaf is filled in. `index`
-    is the index of this condition or leaf.
+    """A slot of a template: the place where the phrase of a condition (in some form) or of a leaf is filled in.
+
+    index : index of this condition or leaf
+    other : index of the second condition of "neither a lamp nor a bed"; -1 in other slots
+    bare : for a leaf, whether the verb is left out: "if not, to the lamp"
     """
 
     form: Form
     index: int
+    other: int = -1
+    bare: bool = False
 
 
 Piece = str | Slot
@@ -102,6 +117,14 @@ class Template:
         "whether" or "if": "check the kitchen for a lamp; if so" is no English
     answered : (index, form of the answer) of the requests to look that a slot answers next. They may be worded as "look
         at the lamp", since the answer can say the rest: "if it's near the bed"
+    restated : indices of the conditions that are stated more than `MOST_STATED` times, which wearies if they are long
+    paired : indices of the conditions that are denied as "neither a lamp nor a bed", so that each needs an article
+    leading : indices of the leaves that are said before their condition ("go to the lamp if …"); they have one stop
+    is_choosy : whether some programs can't be worded by it: those with several stops in `leading`, or without articles
+        in `paired`
+    parts : for each part between two marks, the number of its own words, and its slots: whether it is a leaf, its
+        index, and its number of words, 0 if that depends on the program
+    steps : for each piece, the number of leaves and of marks (full stops, question marks, colons, semicolons) before it
     """
 
     pieces: tuple[Piece, ...]
@@ -109,6 +132,12 @@ class Template:
     questions: frozenset[int] = frozenset()
     whether: frozenset[int] = frozenset()
     answered: Mapping[int, Form] = field(default_factory=dict, hash=False)
+    restated: frozenset[int] = frozenset()
+    paired: frozenset[int] = frozenset()
+    leading: frozenset[int] = frozenset()
+    is_choosy: bool = False
+    parts: tuple[tuple[int, tuple[tuple[bool, int, int], ...]], ...] = ()
+    steps: tuple[int, ...] = ()
 
     @property
     def length(self) -> int:
@@ -312,10 +341,12 @@ def _voice(
 ) -> Voice:
     slots = {slot: tuple(own.get(slot, common[slot])) for slot in SLOTS}
     usable = {c: tuple(t for t in those if name in t.voices) for c, those in templates.items()}
-    lacking = [c for c, those in usable.items() if not those]
+    # Not every program can be worded as "neither a lamp nor a bed", or with a stop before the first condition.
+    always = {c: tuple(t for t in those if not t.is_choosy) for c, those in usable.items()}
+    lacking = [c for c, those in always.items() if not those]
     if lacking:
         raise AssertionError(f"voice {name} has no template of {', '.join(lacking)}")
-    return Voice(name, float(own["weight"]), slots, usable, {c: _shortest(those) for c, those in usable.items()})
+    return Voice(name, float(own["weight"]), slots, usable, {c: _shortest(those) for c, those in always.items()})
 
 
 def _shortest(templates: tuple[Template, ...]) -> tuple[Template, ...]:
@@ -381,12 +412,48 @@ def _template(
         if isinstance(piece, Slot) and isinstance(after, Slot) and piece.form == "see"
         if after.index == piece.index and after.form in ("yes", "no", "lacks")
     }
-    return Template(tuple(pieces), frozenset(entry["voices"].split()), questions, whether, answered)
+    stated = Counter(slot.index for slot in slots if slot.form in _STATING)
+    paired = frozenset(k for slot in slots if slot.form == "neither" for k in (slot.index, slot.other))
+    stated.update(paired)
+    leading = frozenset(slot.index for slot in slots[:1] if slot.form == "leaf")
+    ends = (sum(map(p.count, ".?:;")) if isinstance(p, str) else p.form in ("question", "leaf") for p in pieces)
+    return Template(
+        tuple(pieces),
+        frozenset(entry["voices"].split()),
+        questions,
+        whether,
+        answered,
+        restated=frozenset(k for k, count in stated.items() if count > MOST_STATED),
+        paired=paired,
+        leading=leading,
+        is_choosy=bool(paired or leading),
+        parts=_parts(pieces),
+        steps=tuple(accumulate(ends, initial=0)),
+    )
+
+
+def _parts(pieces: Sequence[Piece]) -> tuple[tuple[int, tuple[tuple[bool, int, int], ...]], ...]:
+    """Return the parts between the marks of a template: (number of its own words, slots)."""
+    parts: list[tuple[int, tuple[tuple[bool, int, int], ...]]] = []
+    own, slots = 0, list[tuple[bool, int, int]]()
+    for piece in pieces:
+        if isinstance(piece, Slot):
+            slots.append((piece.form == "leaf", piece.index, _ANSWER_WORDS.get(piece.form, 0)))
+            continue
+        for k, text in enumerate(re.split("[.?:;]", piece)):
+            if k:
+                parts.append((own, tuple(slots)))
+                own, slots = 0, []
+            own += len(text.replace(",", "").split())
+    return tuple(parts)
 
 
 def _slot(text: str) -> Slot:
-    if text in LEAF_LETTERS:
-        return Slot("leaf", LEAF_LETTERS.index(text))
+    if text.removeprefix("~") in LEAF_LETTERS:
+        return Slot("leaf", LEAF_LETTERS.index(text.removeprefix("~")), bare=text.startswith("~"))
+    if text.startswith("neither "):
+        one, other = text.split()[1:]
+        return Slot("neither", CONDITION_LETTERS.index(one), CONDITION_LETTERS.index(other))
     if text.endswith("?"):
         return Slot("question", CONDITION_LETTERS.index(text[:-1]))
     for prefix, form in _FORMS.items():

@@ -7,7 +7,7 @@ so an Earley parser can check this without relying on LALR(1).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise, product
@@ -18,6 +18,7 @@ from lark.exceptions import LarkError, UnexpectedInput
 
 from condvln.instructions.language import Language, Slot, Template, language
 from condvln.instructions.predicates import PREDICATES
+from condvln.instructions.reach import Mention, within_reach
 from condvln.instructions.text_reading import Phrase, Place, Reading
 from schemas.errors import FormatError
 from schemas.program import BEARINGS, CATEGORIES, SHAPES, Category, Predicate, anchors_of
@@ -125,7 +126,7 @@ class _GrammarWriter:
         rules += [
             "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
-            "moves: _go object (_joint object)*",
+            "moves: (_go | _to) object (_joint object)*",
             f"object: _THE _noun [_where_of] | _THE _noun ({lying}qualifier [_where_anchor] | bearing_stop)",
             *([f"    | _THE _noun _where_of {lying}qualifier"] if w.room_first else []),
             f"    | {compared} [_where_of]",
@@ -143,15 +144,20 @@ class _GrammarWriter:
             "superlative: " + " | ".join(_rule(p) for p in w.superlatives),
             f"asserted: {self._either('exists')} _noun [qualifier] [_where] -> some",
             *(["    | _in room _exists _noun [qualifier] -> some"] if w.room_first else []),
+            *(["    | room _has _noun [qualifier] -> some"] if w.slots["has"] else []),
             f"    | _THE _noun [_where_of] {self._either('is')} (qualifier | bearing) -> the",
             f"    | COMMA _in room COMMA _THE _noun {self._either('is')} (qualifier | bearing) -> the",
             *([f"    | compound {self._either('is')} (qualifier | bearing) -> the"] if w.compounds[0] else []),
-            "denied: _absent _noun [qualifier] [_where] -> some",
+            f"denied: {self._either('absent')} _noun [qualifier] [_where] -> some",
             *(["    | _in room _absent _noun [qualifier] -> some"] if w.room_first else []),
+            *(["    | room _has_no _noun [qualifier] -> some"] if w.slots["has"] else []),
             "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
             "    | COMMA _in room COMMA _THE _noun _is_not (qualifier | bearing) -> the",
             *(["    | compound _is_not (qualifier | bearing) -> the"] if w.compounds[0] else []),
-            "joined: asserted" + (" | _also _noun [qualifier] [_where] -> some" if w.slots["also"] else ""),
+            "neither: _neither_a _noun _nor_a _noun",
+            "joined: asserted | (_there_also | _also_a) _noun [qualifier] [_where] -> some"
+            + (" | _also _noun [qualifier] [_where] -> some" if w.slots["also"] else ""),
+            *(["    | _in room (_there_also | _also_a) _noun [qualifier] -> some"] if w.room_first else []),
             "not_joined: denied" + (" | _nor _noun [qualifier] [_where] -> some" if w.slots["nor"] else ""),
             "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
             "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
@@ -305,7 +311,9 @@ class _TreeReader:
         self.scope: Place | None = None
         self.last_room: Place | None = None
         self.asked_room: Place | None = None
-        self.introduced: set[Place] = set()
+        self.introduced: dict[Place, Mention] = {}
+        self.category: Category = "simple"
+        self.here = Mention(Slot("leaf", 0), 0)
         self.known: dict[str, set[Place]] = {}
 
     def reading(self, tree: Node) -> Reading:
@@ -318,12 +326,18 @@ class _TreeReader:
         return self._filled(sentences, *_named(body), heading)
 
     def _filled(self, sentences: Node, category: Category, number: int, heading: str | None) -> Reading:
-        slots = [piece for piece in self.words.templates[category][number].pieces if isinstance(piece, Slot)]
+        self.category = category
+        template = self.words.templates[category][number]
+        slots = [(p, steps) for p, steps in zip(template.pieces, template.steps, strict=False) if isinstance(p, Slot)]
         conditions: dict[int, Phrase] = {}
         leaves: dict[int, tuple[Phrase, ...]] = {}
-        for slot, subtree in zip(slots, _subtrees(sentences), strict=True):
+        for (slot, steps), subtree in zip(slots, _subtrees(sentences), strict=True):
+            self.here = Mention(slot, steps)
             if slot.form == "leaf":
                 leaves[slot.index] = self._stops(_subtrees(subtree))
+                continue
+            if slot.form == "neither":
+                self._check_pair(subtree, conditions, slot)
                 continue
             answers = subtree.data in ("yes", "no")
             if answers:
@@ -361,6 +375,13 @@ class _TreeReader:
             leaves=tuple(leaves[k] for k in range(shape.leaves)),
             heading=heading,
         )
+
+    def _check_pair(self, tree: Node, conditions: Mapping[int, Phrase], slot: Slot) -> None:
+        """Check that "neither a lamp nor a bed" repeats the nouns of two earlier conditions."""
+        self.last_room = None
+        asked = [conditions[slot.index], conditions[slot.other]]
+        if self._labels(tree) != tuple(one.label for one in asked) or any(one.definite for one in asked):
+            raise FormatError(f"'neither' does not repeat {asked[0]} and {asked[1]}")
 
     def _stops(self, trees: Iterable[Node]) -> tuple[Phrase, ...]:
         """Return the stops of a leaf. A stop without a room is in the room of the stop before it. If the first stop has
@@ -433,12 +454,16 @@ class _TreeReader:
         label = self.rooms[_plain(room)]
         if anchor and tree.data == "room":
             self.last_room = Place(label, self.labels[_plain(anchor[0])])
-            self.introduced.add(self.last_room)
+            self.introduced[self.last_room] = self.here
             return self.last_room
         before = [place for place in self.introduced if place.label == label]
         if len(before) > 1 or (tree.data == "same_room" and not before):
             raise FormatError(f"the text says 'the {_plain(room)}' where {len(before)} rooms could be meant")
         self.last_room = before[0] if before else Place(label)
+        if tree.data == "same_room":
+            if not within_reach(self.category, self.introduced[self.last_room], self.here):
+                raise FormatError(f"the text says 'that {_plain(room)}' too far from where it names this room")
+            self.introduced[self.last_room] = self.here
         return self.last_room
 
     def _labels(self, tree: Node) -> tuple[str, ...]:

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
 from condvln.instructions.language import Form, Language, Noun, Slot, Template, Voice
-from condvln.instructions.sentences import sentences
+from condvln.instructions.reach import Mention, within_reach
+from condvln.instructions.sentences import LONGEST_SENTENCE, sentences
 from condvln.seeding import Draws
-from schemas.program import BEARINGS, SUPERLATIVES, Condition, Leaf, ObjectRef, Predicate, Program, Qualifier, RoomRef
+from schemas.program import (
+    BEARINGS,
+    SUPERLATIVES,
+    Category,
+    Condition,
+    Leaf,
+    ObjectRef,
+    Predicate,
+    Program,
+    Qualifier,
+    RoomRef,
+)
 
 __all__ = ["Renderer"]
 
@@ -21,6 +32,11 @@ CHECK_SHARE: Final = 0.4
 """Share of requests to look for something that name the room first ("check the kitchen for a lamp")."""
 LOOK_SHARE: Final = 0.4
 """Share of the other requests about an indefinite object that say "look for", not "see if there is"."""
+RESTATE_SHARE: Final = 0.5
+"""Share of answers before another claim that repeat the noun: "if there's a lamp and also a bed", not "if there is one
+and there's also a bed"."""
+HAS_SHARE: Final = 0.35
+"""Share of texts that say "the kitchen has a lamp", not "there's a lamp in the kitchen"."""
 COMPOUND_SHARE: Final = 0.6
 """Share of texts that say "the kitchen sink", not "the sink in the kitchen"."""
 _JOINED: Final = ("joined", "not_joined")
@@ -38,9 +54,9 @@ class Renderer:
     def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
         self.words, self.voice, self.draws, self.short = words, voice, draws, short
         self.scope: RoomRef | None = None
-        self.last_room: RoomRef | None = None
+        self.last_room: str | None = None
         self._chosen: dict[str, str] = {}
-        self._turns: Counter[str] = Counter()
+        self._turns: dict[str, int] = {}
         self._relations: dict[Predicate, str] = {}
         self._asked: set[int] = set()
         self._room_asked: str | None = None
@@ -53,41 +69,115 @@ class Renderer:
         self._looked_at: int | None = None
         self._denied: int | None = None
         self._denied_behind = -1, ""
-        self._types: Counter[str] = Counter()
-        self._introduced: set[RoomRef] = set()
+        self._types: list[str] = []
+        self._introduced: dict[str, Mention] = {}
+        self._category: Category = "simple"
+        self._here = Slot("leaf", 0), 0
         self._bearing: int | None = None
         self._whether: frozenset[int] = frozenset()
         self._answered_next: Mapping[int, Form] = {}
         self._request_before = ""
-        self._room_of: dict[str, RoomRef] = {}
+        self._room_of: dict[str, str] = {}
         self._found: set[str] = set()
         self._noun_only: frozenset[str] = frozenset()
         self._once: frozenset[str] = frozenset()
         self._compounds = False
         self._there = False
-        self._is_joined_next = self._is_gapped = False
+        self._joined_next: Form | None = None
+        self._is_gapped = False
         self._existential: bool | None = None
-        self._clause_room: RoomRef | None = None
+        self._too: str | None = None
+        self._has: bool | None = None
+        self._clause_room: str | None = None
 
     def program(self, program: Program) -> str:
         rooms = _rooms(program)
-        self._types = Counter(room.label for room in rooms)
+        self._types = [room.label for room in rooms]
+        self._category = program.category
         if len(rooms) > 1:
             self._shared = _shared(program)
-        asked = Counter(condition.label for condition in program.conditions)
-        self._once = frozenset(label for label, count in asked.items() if count == 1)
-        elsewhere = {label for leaf in program.leaves for move in leaf.moves for label in _labels(move)}
-        elsewhere |= {label for condition in program.conditions for label in _labels(condition)[1:]}
+        asked = [condition.label for condition in program.conditions]
+        self._once = frozenset([label for label in asked if asked.count(label) == 1])
+        elsewhere: set[str] = set()
+        for leaf in program.leaves:
+            for move in leaf.moves:
+                elsewhere.update(_labels(move))
+        for condition in program.conditions:
+            elsewhere.update(_labels(condition)[1:])
         self._noun_only = self._once - elsewhere
         self._compounds = bool(self.words.compounds[0]) and self._chance(COMPOUND_SHARE)
         opening = self._scope(rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
-        template = self.draws.choice(_sayable(templates, program, bool(opening)) if not self.short else templates)
+        template = self.draws.choice(templates) if self.short else self._drawn(templates, program, bool(opening))
         self._whether, self._answered_next = template.whether, template.answered
         body = self._filled_in(template, program)
         if self._is_room_first:
             body = body.replace(" , ", ", ")
         return sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
+
+    def _drawn(self, templates: tuple[Template, ...], program: Program, scoped: bool) -> Template:
+        """Return a template, drawn at random from those that read well for a program.
+
+        scoped : whether the text begins with its room, so that it has no question: "in the bedroom, is the lamp …"
+        """
+        left = list(templates)
+        kept: list[Template] = []
+        sizes: tuple[list[int], list[int]] | None = None
+        while left:
+            template = left.pop(self.draws.index(len(left)) if len(left) > 1 else 0)
+            if template.is_choosy and not self._is_sayable(template, program):
+                continue
+            if self._is_wearying(template, program) or self._asks_apart(template, program, scoped):
+                kept.append(template)
+            else:
+                sizes = sizes or self._sizes(program)
+                if not _is_long(template, *sizes):
+                    return template
+                kept.insert(0, template)
+        return kept[0]
+
+    def _is_sayable(self, template: Template, program: Program) -> bool:
+        """Return whether the leaf before the first condition has one stop, which is in another room, and the nouns of
+        "neither a lamp nor a bed" can stand for their conditions.
+        """
+        room = program.conditions[0].room
+        for k in template.leading:
+            first, *others = program.leaves[k].moves
+            if others or (first.room.room_id == room.room_id and not self._elided(room)):
+                return False
+        return all(self._has_article(program.conditions[k]) for k in template.paired)
+
+    def _has_article(self, condition: Condition) -> bool:
+        """Return whether a condition can be repeated by its noun alone, with the indefinite article."""
+        return not condition.definite and condition.label in self._noun_only
+
+    def _is_wearying(self, template: Template, program: Program) -> bool:
+        """Return whether a template states a condition with its relation three times."""
+        again = template.restated
+        return bool(again) and not all(self._has_article(program.conditions[k]) for k in again)
+
+    def _asks_apart(self, template: Template, program: Program, scoped: bool) -> bool:
+        """Return whether a template asks questions like "is the lamp in the bedroom with the desk near the bed?", or
+        any question in a text that begins with its room (`scoped`).
+        """
+        if scoped or not template.questions:
+            return scoped and bool(template.questions)
+        asked = [program.conditions[k] for k in template.questions]
+        return any(condition.definite and condition.room.anchor_label is not None for condition in asked)
+
+    def _sizes(self, program: Program) -> tuple[list[int], list[int]]:
+        """Return the approximate numbers of words of the conditions and of the leaves."""
+        conditions = [self._size(condition) + 3 for condition in program.conditions]
+        return conditions, [sum([self._size(move) + 3 for move in leaf.moves]) for leaf in program.leaves]
+
+    def _size(self, named: Condition | ObjectRef) -> int:
+        """Return the approximate number of words that name a thing, besides its article and verb."""
+        qualifier = named.qualifier
+        words = named.label.count(" ") + (0 if self._elided(named.room) else 3)
+        if qualifier is None:
+            return words
+        lying = 2 if self.words.lying and isinstance(named, ObjectRef) else 0
+        return words + lying + 2 + sum(label.count(" ") + 2 for label in qualifier.anchor_labels)
 
     def _filled_in(self, template: Template, program: Program) -> str:
         texts: list[str] = []
@@ -97,8 +187,9 @@ class Renderer:
                 texts.append(piece)
                 continue
             after = ends[k + 2]
-            self._is_joined_next = isinstance(after, Slot) and after.form in _JOINED
+            self._joined_next = after.form if isinstance(after, Slot) and after.form in _JOINED else None
             self._is_gapped = False
+            self._here = piece, template.steps[k]
             said = self._slot(piece, program)
             if self._is_gapped:
                 texts[-1] = texts[-1].removeprefix(",")  # "if there's a lamp but no bed"
@@ -116,14 +207,18 @@ class Renderer:
         phrases = _shortest(phrases) if self.short else phrases
         return self.draws.choice(phrases) if len(phrases) > 1 else phrases[0]
 
+    def _usable(self, slot: str) -> tuple[str, ...]:
+        """Return the phrases of a slot; of a short text, those with the fewest words."""
+        return _shortest(self.voice.slots[slot]) if self.short else self.voice.slots[slot]
+
     def _chance(self, share: float) -> bool:
         return self.draws.uniform() < share
 
-    def _scope(self, rooms: set[RoomRef]) -> str:
+    def _scope(self, rooms: list[RoomRef]) -> str:
         """Return the words that place the whole text in one room, which then need not be named again; empty if there
         are several rooms or the room has no name.
         """
-        room = next(iter(rooms))
+        room = rooms[0]
         if len(rooms) > 1 or room.label not in self.words.rooms:
             return ""
         text = f"{self._phrase('scope')} {self._room(room)}, "
@@ -139,15 +234,19 @@ class Renderer:
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
             leaf, room = program.leaves[slot.index], self.last_room
-            said = self.moves(leaf)
+            said = self.moves(leaf, bare=slot.bare)
             self._answered, self._clause_room = ("", 0), None
-            if any(move.is_bearing or move.room != room for move in leaf.moves):
+            if any(move.is_bearing or move.room.room_id != room for move in leaf.moves):
                 # "there" would not be understood as a room of another branch, though that one was named last; nor is
                 # the next question about the room of the question before these stops.
                 self.last_room = self._room_asked = None
             return said
         condition = program.conditions[slot.index]
         form = slot.form
+        if form == "neither":
+            self._answered, self._room_asked, self.last_room = ("", 0), None, None
+            other = program.conditions[slot.other]
+            return f"{self._filled('neither_a', condition)} {self._filled('nor_a', other)}"
         if form in ("yes", "no", "lacks") and slot.index == self._looked_at:
             self._looked_at, self._answered = None, ("", 0)
             self._denied = None if form == "yes" else slot.index
@@ -161,11 +260,18 @@ class Renderer:
             form = "no"
         if form == "yes" and self._is_doubtful(condition, slot.index):
             form = "again"
+        restatable = form == "yes" and self._joined_next and not self.short and self._has_article(condition)
+        if restatable and self._chance(RESTATE_SHARE):
+            # "If there's a lamp and also a bed, …": other words came after the question.
+            said = self._again(condition, "")
+            self._answered, self._too = (said, self._requests), "also_a"
+            return said
         if form in ("yes", "no"):
             answer = self.words.answered(self._answer(form, condition, slot.index), self._noun(condition))
             if (answer, self._requests - 1) != self._answered:
                 self._answered = answer, self._requests
-                self._existential, self._clause_room = None if condition.definite else form == "yes", None
+                self._existential, self._clause_room = None, None
+                self._too = "there_also" if form == "yes" and not condition.definite else None
                 return answer
             # "If it is, see if … If it is, …": the second could be confused with the first.
             form = "again" if form == "yes" else "not_again"
@@ -223,7 +329,7 @@ class Renderer:
         phrases = self.voice.slots[slot]
         if len(phrases) == 1:
             return phrases[0]
-        if self._is_joined_next and self.voice.slots["also"]:
+        if self._joined_next and self.voice.slots["also"]:
             return phrases[0]  # "if there is one but no lamp", not "if there is but no lamp"
         if not self._asked_by_exists and not condition.definite:
             phrases = tuple(phrase for phrase in phrases if phrase not in self.words.elliptic)
@@ -257,10 +363,12 @@ class Renderer:
         joined : whether the clause is behind another one, so that words which both have may be left out
         """
         gapped = joined and not condition.definite and self._existential in ((True,) if asserted else (True, False))
-        beside = joined and self._clause_room == condition.room and bool(self.voice.slots["same_place"])
+        too, self._too = self._too if joined and asserted else None, None
+        beside = joined and self._clause_room == condition.room.room_id and bool(self.voice.slots["same_place"])
         # "Si en la cocina hay un plato y en el dormitorio hay una cama": the room comes first.
-        gapped = gapped and (beside or not self.words.room_first or self._elided(condition.room))
-        self._existential, self._clause_room = None if condition.definite else asserted, condition.room
+        room_first = self._names_room_first(condition)
+        gapped = gapped and (beside or not room_first or self._elided(condition.room))
+        self._existential, self._clause_room = None if condition.definite else asserted, condition.room.room_id
         if condition.definite:
             verb = self._phrase("is" if asserted else "is_not")
             if self._is_set_apart(condition.room) and not self._is_beside:
@@ -275,12 +383,37 @@ class Renderer:
             return said
         self._asked_by_exists, self._asked_by_look = True, False
         self._know(condition)
-        there = self._there_is(condition, asserted=asserted, gapped=gapped)
+        if too is None and not gapped and not beside and self._says_has(condition):
+            self._existential, self._asked_by_exists = None, False
+            said = f"{self._room(condition.room)} {self._filled('has' if asserted else 'has_no', condition)}"
+            return f"{said}{self._relation(condition)}"
+        if too is not None:
+            there = self._filled(too, condition)
+        else:
+            there = self._there_is(condition, asserted=asserted, gapped=gapped)
         if beside and not self._elided(condition.room):
             return f"{there}{self._relation(condition)} {self._phrase('same_place')}"
-        if self.words.room_first and not self._elided(condition.room):
+        if room_first and not self._elided(condition.room):
             return f"{self._phrase('in')} {self._room(condition.room)} {there}{self._relation(condition)}"
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
+
+    def _names_room_first(self, condition: Condition) -> bool:
+        """Return whether a claim begins with its room, as in "en la cocina hay una lámpara"."""
+        if self.words.room_first and condition.qualifier is None and condition.room.anchor_label is None:
+            return not self._prefers_has()
+        return self.words.room_first
+
+    def _says_has(self, condition: Condition) -> bool:
+        """Return whether a claim is worded as "the kitchen has a lamp"."""
+        if not self.voice.slots["has"] or condition.room.anchor_label is not None or self._elided(condition.room):
+            return False
+        return self._prefers_has()
+
+    def _prefers_has(self) -> bool:
+        """Return whether this text says "the kitchen has a lamp", or in Spanish "hay una lámpara en la cocina"."""
+        if self._has is None:
+            self._has = self._chance(HAS_SHARE)
+        return self._has
 
     def _there_is(self, condition: Condition, *, asserted: bool, gapped: bool, kind: str = "") -> str:
         """Return "there's a lamp", or "a lamp" (`gapped`) behind another clause with "there's"."""
@@ -288,7 +421,7 @@ class Renderer:
         if gapped and self.voice.slots[slot]:
             self._is_gapped = True
             return self._filled(slot, condition)
-        return self._filled(f"exists{kind}" if asserted else "absent", condition)
+        return self._filled(f"{'exists' if asserted else 'absent'}{kind}", condition)
 
     def _again(self, condition: Condition, kind: str, *, joined: bool = False) -> str:
         """Return the words that repeat an earlier condition, without its room. The next stop then does not use "there",
@@ -305,7 +438,9 @@ class Renderer:
                 f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
             )
         relation = "" if condition.label in self._noun_only else self._relation(condition)
-        there = self._there_is(condition, asserted=asserted, gapped=gapped, kind=kind if asserted else "")
+        if not asserted and not relation:
+            kind = "_again"
+        there = self._there_is(condition, asserted=asserted, gapped=gapped, kind="" if kind == "_not" else kind)
         return f"{there}{relation}"
 
     def _question(self, condition: Condition) -> str:
@@ -348,7 +483,7 @@ class Renderer:
 
     def _request(self) -> str:
         """Return the phrase of the next request, such as "see if" or "check whether"."""
-        return self._in_turn("see", _shortest(self.voice.slots["see"]) if self.short else self.voice.slots["see"])
+        return self._in_turn("see", self._usable("see"))
 
     def _know(self, named: Condition | ObjectRef) -> None:
         """Record that the text has now named the objects of a phrase with their room, so that it can later name them
@@ -357,10 +492,10 @@ class Renderer:
         if self._elided(named.room) or self._is_shared(named):
             return
         if isinstance(named, ObjectRef) or named.definite:
-            self._room_of[named.label] = named.room
+            self._room_of[named.label] = named.room.room_id
             self._found.add(named.label)
         for label in named.qualifier.anchor_labels if named.qualifier is not None else ():
-            self._room_of[label] = named.room
+            self._room_of[label] = named.room.room_id
 
     def _noun(self, named: Condition | ObjectRef) -> Noun:
         return self.words.noun(named.label, named.room.label)
@@ -378,7 +513,7 @@ class Renderer:
         room, noun = self.words.rooms[named.room.label], self._noun(named)
         if named.room.anchor_label is not None or f"{room.text} {noun.text}" in self.words.noun_texts:
             return None
-        self.last_room = named.room
+        self.last_room = named.room.room_id
         return self.words.compound(noun, room)
 
     def _subject(self, condition: Condition) -> str:
@@ -416,25 +551,18 @@ class Renderer:
 
     # -- places --------------------------------------------------------------------------------------------------------
 
-    def moves(self, leaf: Leaf) -> str:
-        """Return the stops of one leaf as one imperative."""
-        stops, asked = leaf.moves, self._room_asked
+    def moves(self, leaf: Leaf, *, bare: bool = False) -> str:
+        """Return the stops of one leaf as one imperative; with `bare` without its verb, as in "to the lamp"."""
+        stops = leaf.moves
         self._there = False
-        texts = [f"{self._phrase('go')} {self._stop(stops[0])}"]
+        verb = self._phrase("to") if bare else self._in_turn("go", self._usable("go"))
+        texts = [f"{verb} {self._stop(stops[0])}"]
         for k, (before, stop) in enumerate(pairwise(stops), start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
             # After a stop with an egocentric direction, or one that is known from before, no room was named.
-            same_room = stop.room == before.room == self.last_room and not self._is_shared(stop)
-            if same_room and not self.voice.slots["there"] and self._is_elsewhere(stop.room, asked):
-                same_room = False  # "luego al espejo" could be in the room of the question
+            same_room = stop.room.room_id == before.room.room_id == self.last_room and not self._is_shared(stop)
             texts.append(f"{self._phrase(joint)} {self._stop(stop, behind=True, same_room=same_room)}")
         return "".join(texts)
-
-    def _is_elsewhere(self, room: RoomRef, asked: str | None) -> bool:
-        """Return whether the last question, if any, was about a room other than `room`, and `room` has a plain name.
-        Then "there" would be unclear.
-        """
-        return asked not in (None, room.room_id) and room.anchor_label is None
 
     def _stop(self, ref: ObjectRef, *, behind: bool = False, same_room: bool = False) -> str:
         """Return the words for a stop; its room is left out if the stop before it is in the same room.
@@ -466,7 +594,7 @@ class Renderer:
         if known:
             self.last_room = None
             return f"{noun}{relation}"
-        if ref.qualifier is None and not elided and ref.room != self.last_room:
+        if ref.qualifier is None and not elided and ref.room.room_id != self.last_room:
             noun_and_room = self._compound(ref)
             if noun_and_room is not None:
                 return noun_and_room
@@ -480,7 +608,7 @@ class Renderer:
         """
         if self._is_shared(ref) or (not _labels(ref)[1:] and ref.label not in self._found):
             return False
-        return all(self._room_of.get(label) == ref.room for label in _labels(ref)[1:] or _labels(ref))
+        return all(self._room_of.get(label) == ref.room.room_id for label in _labels(ref)[1:] or _labels(ref))
 
     def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
         """Return the room as a place ("in the bedroom"); with `kind` "_of" as the owner ("del dormitorio").
@@ -489,7 +617,7 @@ class Renderer:
         """
         if self._elided(room):
             return ""
-        if kind in ("_of", "_anchor") and not named and self.voice.slots["there"] and room == self.last_room:
+        if kind in ("_of", "_anchor") and not named and self.voice.slots["there"] and room.room_id == self.last_room:
             self._there = True
             return f" {self._phrase('there')}"
         return f" {self._phrase(_PREPOSITIONS[kind])} {self._room(room)}"
@@ -499,18 +627,26 @@ class Renderer:
         return room.anchor_label is not None and not self._is_introduced(room) and not self._elided(room)
 
     def _is_introduced(self, room: RoomRef) -> bool:
-        """Whether "that bedroom" can only mean this room, which the text has named by an object in it."""
-        return room in self._introduced and self._types[room.label] == 1
+        """Whether "that bedroom" can only mean this room, which was named by an object in it shortly before, on the way
+        to the leaf or condition that is being worded.
+        """
+        named = self._introduced.get(room.room_id)
+        return (
+            named is not None
+            and self._types.count(room.label) == 1
+            and within_reach(self._category, named, Mention(*self._here))
+        )
 
     def _room(self, room: RoomRef) -> str:
-        self.last_room = room
+        self.last_room = room.room_id
         noun = self.words.rooms[room.label]
         phrase = self.words.definite(noun)
         if room.anchor_label is None or self._elided(room):
             return phrase
-        if self._is_introduced(room):
+        is_known = self._is_introduced(room)
+        self._introduced[room.room_id] = Mention(*self._here)
+        if is_known:
             return self.words.that(noun)
-        self._introduced.add(room)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"
 
 
@@ -532,21 +668,25 @@ def _shared(program: Program) -> set[str]:
     return shared
 
 
-def _sayable(templates: tuple[Template, ...], program: Program, scoped: bool) -> tuple[Template, ...]:
-    """Return the templates without questions like "is the lamp in the bedroom with the desk near the bed?" or, for a
-    `scoped` text, "in the bedroom, is the lamp near the bed?". If no template is without them, return all templates.
+def _is_long(template: Template, conditions: Sequence[int], leaves: Sequence[int]) -> bool:
+    """Return whether some part of a template would be longer than a sentence should be, for conditions and leaves of
+    these approximate numbers of words.
     """
-    if scoped:
-        return tuple(template for template in templates if not template.questions) or templates
-    long = {k for k, c in enumerate(program.conditions) if c.definite and c.room.anchor_label is not None}
-    if not long:
-        return templates
-    return tuple(template for template in templates if not template.questions & long) or templates
+    for words, slots in template.parts:
+        for is_leaf, index, fixed in slots:
+            words += fixed or (leaves if is_leaf else conditions)[index]
+        if words > LONGEST_SENTENCE:
+            return True
+    return False
 
 
-def _rooms(program: Program) -> set[RoomRef]:
+def _rooms(program: Program) -> list[RoomRef]:
     """Return the rooms that a text names."""
-    return {c.room for c in program.conditions} | {move.room for leaf in program.leaves for move in leaf.moves}
+    rooms = {condition.room.room_id: condition.room for condition in program.conditions}
+    for leaf in program.leaves:
+        for move in leaf.moves:
+            rooms[move.room.room_id] = move.room
+    return list(rooms.values())
 
 
 @lru_cache

@@ -6,7 +6,7 @@ from typing import Final
 
 from condvln.instructions.language import Language
 
-__all__ = ["sentences"]
+__all__ = ["LONGEST_SENTENCE", "sentences"]
 
 LONGEST_SENTENCE: Final = 25
 """Number of words above which a sentence is split at its colon or semicolon."""

@@ -54,6 +54,13 @@ _Place = tuple[int, Named | None]
 PAIRED: Final = frozenset({"between"})
 """Predicates with two anchors."""
 
+FARTHEST: Final = 2
+"""Largest number of marks between a room's name and "that bedroom"."""
+
+_MARKS: Final = frozenset(".;:?")
+"""Punctuation that ends a sentence or a part of one."""
+_OWNED: Final = {"exists": "has", "absent": "has_no"}
+"""Slot of the claim "the kitchen has a lamp", by that of "there's a lamp"."""
 _STOPS: Final = frozenset(".;:")
 """Punctuation that ends a clause which states stops."""
 
@@ -173,7 +180,7 @@ class PhraseReader:
         for middle, _, classes in self._of(at, "that"):
             for end, label in self._agreeing(middle, "room", classes):
                 before = {room for place, room in self._set_apart() if place < at and room.label == label}
-                if len(before) == 1:
+                if len(before) == 1 and self._is_named_near(middle, label):
                     yield end, before.pop()
 
     def _in_its_room(self, at: int) -> Iterator[tuple[int, str, Named]]:
@@ -201,6 +208,19 @@ class PhraseReader:
                         if ends:
                             self._apart.append((at, Named(label, ends[max(ends)])))
         return self._apart
+
+    def _is_named_near(self, noun: int, label: str) -> bool:
+        """Return whether the room of "that bedroom", whose noun is at word `noun`, is named by words that are at most
+        `FARTHEST` marks away: by "the bedroom with the desk", or by "that bedroom" again.
+        """
+        named = [place for place, room in self._set_apart() if place < noun and room.label == label]
+        named += [
+            at
+            for at in range(max(named), noun - 1)
+            for end, _, classes in self._of(at, "that")
+            if any(room == label for _, room in self._agreeing(end, "room", classes))
+        ]
+        return sum(token in _MARKS for token in self.tokens[max(named) : noun]) <= FARTHEST
 
     def _related(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
         for end, predicate, _ in self._of(at, "predicate"):
@@ -287,10 +307,16 @@ class PhraseReader:
                         yield place, Phrase(label, qualifier, room), named
         for end, _, _ in self._of(at, "in") if self.book.room_first else ():
             for start, room in self._rooms(end):
-                for after, _, classes in self._of(start, slot):
-                    for stop, label in self._agreeing(after, "noun", classes):
-                        for place, qualifier in self._qualified(stop):
-                            yield place, Phrase(label, qualifier, room), room
+                yield from self._some_in(room, slot, start)
+        for end, room in self._rooms(at) if slot in _OWNED else ():
+            yield from self._some_in(room, _OWNED[slot], end)
+
+    def _some_in(self, room: Named, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
+        """Parse the rest of a claim that begins with its room: "the kitchen has a lamp near the sink"."""
+        for end, _, classes in self._of(at, slot):
+            for after, label in self._agreeing(end, "noun", classes):
+                for stop, qualifier in self._qualified(after):
+                    yield stop, Phrase(label, qualifier, room), room
 
     def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse what follows "check" in "check the bedroom for a lamp near the bed". Yield (end, claim, room named
@@ -351,15 +377,17 @@ class PhraseReader:
             (True, "exists", "is"),
             (True, "exists_again", "is_again"),
             (False, "absent", "is_not"),
+            (False, "absent_again", None),
         ):
-            for found in (self._some(some, at, last), self._known(known, at, last), self._known_in(known, at)):
+            others = () if known is None else (self._known(known, at, last), self._known_in(known, at))
+            for found in (self._some(some, at, last), *others):
                 for end, what, named in found:
                     yield end, present, what, named
 
     @_parsed_once
     def _joined(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims without their verb: "a lamp in the kitchen" behind "if there's a bed and"."""
-        for present, slot in ((True, "also"), (False, "nor")):
+        for present, slot in ((True, "also"), (True, "also_a"), (True, "there_also"), (False, "nor")):
             for end, what, named in self._some(slot, at, last):
                 yield end, present, what, named
 
@@ -384,13 +412,13 @@ class PhraseReader:
         """Parse moves to one or more stops, up to the end of a clause. Punctuation must follow directly after the
         moves.
         """
-        for start, _, _ in self._of(at, "go"):
+        for start, _, _ in (*self._of(at, "go"), *self._of(at, "to")):
             ahead: list[tuple[int, Moves, Named | None]] = [
                 (stop, (thing,), named) for stop, thing, named in self._things(start, last)
             ]
             while ahead:
                 end, moves, named = ahead.pop()
-                if end < len(self.tokens) and self.tokens[end] in _STOPS:
+                if end < len(self.tokens) and (self.tokens[end] in _STOPS or self._of(end, "if")):
                     yield end, moves, named
                 for slot in ("then", "second", "last"):
                     for after, _, _ in self._of(end, slot):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Final, NamedTuple
 
 from condvln.verify.phrasebook import Phrasebook, phrasebook
@@ -159,6 +160,13 @@ class _Reader(PhraseReader):
         for end, _, _ in self._of(at, "if"):
             yield from self._supposed(state._replace(at=end), context & base, base)
             yield from self._answered(state._replace(at=end), base)
+        for end, _, _ in self._of(at, "unless"):
+            for claimed, cases in self._claimed(state._replace(at=end), context & base, denied=True):
+                yield from self._comma(claimed, cases, base)
+        for end, moves, room in self._stops(at, state.room) if not state.asks else ():
+            for after, _, _ in self._of(end, "if"):
+                for claimed, cases in self._claimed(state._replace(at=after, room=room), context & base):
+                    yield claimed._replace(rules=(*claimed.rules, (cases, moves))), base
         for end, _, _ in self._of(at, "otherwise"):
             for place in state.open:
                 ask = state.asks[place]
@@ -175,9 +183,17 @@ class _Reader(PhraseReader):
     def _supposed(
         self, state: _State, context: int, base: int, *, joined: bool = False
     ) -> Iterator[tuple[_State, int]]:
-        """Parse a claim after "if", and its consequences.
+        """Parse a claim after "if", and its consequences."""
+        for claimed, cases in self._claimed(state, context, joined=joined):
+            yield from self._but(claimed, cases, base)
+
+    def _claimed(
+        self, state: _State, context: int, *, joined: bool = False, denied: bool = False
+    ) -> Iterator[tuple[_State, int]]:
+        """Parse a claim. Yield the state after it, and the cases in which it applies.
 
         joined : whether it is behind another claim, so that "there's" may be left out: "if there's a lamp but no bed"
+        denied : whether it is behind "unless", so that it applies where the claim is false
         """
         if state.listed is not None:
             context &= ~state.listed
@@ -188,7 +204,7 @@ class _Reader(PhraseReader):
                 asked = [ask.context for ask in state.asks if ask.condition == k]
                 # asked again, so it applies to the same cases as before
                 within = context & asked[0] if asked else context
-                guard = _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
+                guard = _HOLDS[k] if present != denied else _ALWAYS & ~_HOLDS[k]
                 opened = state._replace(
                     at=end,
                     room=room,
@@ -197,7 +213,7 @@ class _Reader(PhraseReader):
                     open=(*state.open, len(state.asks)),
                     listed=None if state.listed is None else state.listed | guard,
                 )
-                yield from self._but(opened, within & guard, base)
+                yield opened, within & guard
 
     def _answered(self, state: _State, base: int) -> Iterator[tuple[_State, int]]:
         """Parse an answer that follows "if" ("so", "there is one", "it isn't", "neither is true"), and the consequences
@@ -225,6 +241,24 @@ class _Reader(PhraseReader):
                     for guard in guards:
                         cases &= ~guard
                     yield from self._but(state._replace(at=end), cases, base)
+
+        yield from self._denied_together(state, base)
+
+    def _denied_together(self, state: _State, base: int) -> Iterator[tuple[_State, int]]:
+        """Parse "there's neither a lamp nor a bed", about two conditions named before, and the consequences."""
+        pairs = [
+            (stop, one, other)
+            for end, _, classes in self._of(state.at, "neither_a")
+            for after, one in self._agreeing(end, "noun", classes)
+            for middle, _, its in self._of(after, "nor_a")
+            for stop, other in self._agreeing(middle, "noun", its)
+        ]
+        for end, *labels in pairs:
+            ways = [
+                [k for k, one in enumerate(state.named) if one.label == label and not one.known] for label in labels
+            ]
+            for k, j in product(*ways):
+                yield from self._but(state._replace(at=end), _ALWAYS & ~_HOLDS[k] & ~_HOLDS[j], base)
 
     def _consequences(self, state: _State, place: int, answer: bool, base: int) -> Iterator[tuple[_State, int]]:
         """Parse the consequences of an answer to the question or "if" at index `place`."""

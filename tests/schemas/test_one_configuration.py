@@ -74,7 +74,17 @@ TECHNICAL = {
         "MOST_OCTAVES",
     },
     # Voices of the text: wordings that mean the same, and where a sentence is split.
-    "instructions/renderer.py": {"CHECK_SHARE", "COMPOUND_SHARE", "LOOK_AT_SHARE", "LOOK_SHARE"},
+    "instructions/renderer.py": {
+        "CHECK_SHARE",
+        "COMPOUND_SHARE",
+        "HAS_SHARE",
+        "LOOK_AT_SHARE",
+        "LOOK_SHARE",
+        "RESTATE_SHARE",
+    },
+    "instructions/language.py": {"MOST_STATED"},
+    "instructions/reach.py": {"MOST_STEPS"},
+    "verify/phrases.py": {"FARTHEST"},
     "instructions/sentences.py": {"LONGEST_SENTENCE"},
     # Codes of compiled kernels: which rule refused, and columns of arrays. Two are bounds of a search.
     "episodes/kernels/starts.py": {
