@@ -259,7 +259,7 @@ class _Run:
             "scene_files": {unit.unit_id: scene_files(unit) for unit in work.units if unit.fault is None},
             "libraries": libraries,
             "encoders": dict(encoders()),
-            "decoders": decoders(),
+            "decoders": dict(decoders()),
             "notes": notes,
         }
         with atomic_stream(self.folder / "README.md") as stream:

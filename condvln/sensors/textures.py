@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
@@ -81,7 +82,8 @@ def is_readable(mime: str) -> bool:
     return mime in READABLE or (mime == KTX2 and find_spec("opengl_basisu") is not None)
 
 
-def decoders() -> dict[str, str]:
+@cache
+def decoders() -> Mapping[str, str]:
     """Return the decoder of each kind of texture, with its version; ``none`` where it is not installed. The colours of
     a scene depend on both.
     """

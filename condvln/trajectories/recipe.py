@@ -159,7 +159,8 @@ class Recipe:
 
     def hashes(self, family: str, scene_id: str) -> dict[str, str]:
         """Return the SHA-256 of each image of a scene, by path."""
-        poses = self._scene("poses", family, scene_id)
+        of_scene = [("source", "=", family), ("scene_id", "=", scene_id)]
+        poses = self._read("poses", columns=["image", "sha256"], filters=of_scene)
         return dict(zip(poses["image"].to_pylist(), poses["sha256"].to_pylist(), strict=True))
 
     def _faults(self, walks: list[dict[str, Any]], poses: pa.Table) -> Iterator[str]:

@@ -167,7 +167,7 @@ class FrameStage(Stage):
             "cameras": {name: dump(camera) for name, camera in self.cameras.items()},
             "images": {key: getattr(self.config, key) for key in sorted(_IMAGE_KEYS)},
             "encoders": dict(encoders()),
-            "decoders": decoders(),
+            "decoders": dict(decoders()),
             **({} if self.keep else {"keep": False}),
         }
 
