@@ -40,7 +40,6 @@ class _Listener:
     asks : (context, condition, truth of the "if", or None for a question), in order
     supposed : the same for the last "if", also for one with an answer
     leading : the leaf that was said before its condition: "go to the lamp if …"
-    unless : whether the claim is behind "unless", so that the opposite is supposed
     """
 
     asks: list[tuple[Context, int, bool | None]] = field(default_factory=list)
@@ -49,7 +48,6 @@ class _Listener:
     listed: bool = False
     leaves: dict[int, list[Context]] = field(default_factory=dict)
     leading: int | None = None
-    unless: bool = False
 
 
 def findings(words: Language, category: Category, template: Template) -> Iterator[Finding]:
@@ -114,8 +112,8 @@ def _heard(words: Language, pieces: Sequence[str | Slot]) -> dict[int, list[Cont
                     previous_ifs, sentence_ifs = sentence_ifs, 0
             elif name in (";", ":"):
                 listener.context = sentence if name == ";" or sentence else listener.context
-            elif name in ("if", "unless"):
-                supposing, listener.unless = True, name == "unless"
+            elif name == "if":
+                supposing = True
             elif name in ("so", "not"):
                 context, condition, truth = _latest(listener)
                 if name == "so" and truth is False:
@@ -170,7 +168,7 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
     elif not supposing:
         raise ValueError('a claim without "if"')
     else:
-        truth = (slot.form in ("asserted", "joined")) != listener.unless
+        truth = slot.form in ("asserted", "joined")
         before = listener.context
         asked_in = [context for context, condition, _ in listener.asks if condition == slot.index]
         if asked_in and not before:
@@ -183,7 +181,6 @@ def _hear_slot(listener: _Listener, slot: Slot, supposing: bool, agreeing: bool)
         if listener.leading is not None:
             listener.leaves.setdefault(listener.leading, []).append(listener.context)
             listener.leading = None
-        listener.unless = False
 
 
 def _latest(listener: _Listener) -> tuple[Context, int, bool | None]:

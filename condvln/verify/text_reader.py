@@ -160,9 +160,6 @@ class _Reader(PhraseReader):
         for end, _, _ in self._of(at, "if"):
             yield from self._supposed(state._replace(at=end), context & base, base)
             yield from self._answered(state._replace(at=end), base)
-        for end, _, _ in self._of(at, "unless"):
-            for claimed, cases in self._claimed(state._replace(at=end), context & base, denied=True):
-                yield from self._comma(claimed, cases, base)
         for end, moves, room in self._stops(at, state.room) if not state.asks else ():
             for after, _, _ in self._of(end, "if"):
                 for claimed, cases in self._claimed(state._replace(at=after, room=room), context & base):
@@ -187,13 +184,10 @@ class _Reader(PhraseReader):
         for claimed, cases in self._claimed(state, context, joined=joined):
             yield from self._but(claimed, cases, base)
 
-    def _claimed(
-        self, state: _State, context: int, *, joined: bool = False, denied: bool = False
-    ) -> Iterator[tuple[_State, int]]:
+    def _claimed(self, state: _State, context: int, *, joined: bool = False) -> Iterator[tuple[_State, int]]:
         """Parse a claim. Yield the state after it, and the cases in which it applies.
 
         joined : whether it is behind another claim, so that "there's" may be left out: "if there's a lamp but no bed"
-        denied : whether it is behind "unless", so that it applies where the claim is false
         """
         if state.listed is not None:
             context &= ~state.listed
@@ -204,7 +198,7 @@ class _Reader(PhraseReader):
                 asked = [ask.context for ask in state.asks if ask.condition == k]
                 # asked again, so it applies to the same cases as before
                 within = context & asked[0] if asked else context
-                guard = _HOLDS[k] if present != denied else _ALWAYS & ~_HOLDS[k]
+                guard = _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
                 opened = state._replace(
                     at=end,
                     room=room,

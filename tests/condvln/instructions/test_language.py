@@ -94,8 +94,6 @@ def test_a_listener_takes_every_template_as_it_is_meant(words: Language, categor
         ("simple", "{see A}. If {no A}, {x}. If {yes A}, {y}.", "listener goes to"),
         ("simple", "If {A}, {x}. Failing that, {y}.", "not one of the language's connectives"),
         ("simple", "{y} if {A}. If not, {x}.", "listener goes to"),
-        ("simple", "Unless {A}, {x}. If {yes A}, {y}.", "listener goes to"),
-        ("simple", "Unless {A}, {y}. If so, {x}.", "agrees with the denial"),
         ("nested_chain", "If {A}, {x}. If {neither A C}, {w}. If {B}, {y}. If {C}, {z}.", "before conditions 0 and 2"),
         (
             "long_chain",
