@@ -126,7 +126,8 @@ class _GrammarWriter:
         rules += [
             "start: [_facing direction] [_scope room COMMA] body",
             "direction: (" + " | ".join(f"direction_{_rule(d)}" for d in w.directions) + ") STOP",
-            "moves: (_go | _to) object (_joint object)*",
+            "moves: _go object (_joint object)*",
+            "bare_moves: _to object (_joint object)* -> moves",
             f"object: _THE _noun [_where_of] | _THE _noun ({lying}qualifier [_where_anchor] | bearing_stop)",
             *([f"    | _THE _noun _where_of {lying}qualifier"] if w.room_first else []),
             f"    | {compared} [_where_of]",
@@ -218,6 +219,8 @@ class _GrammarWriter:
 
     def _part(self, piece: str | Slot) -> str:
         if isinstance(piece, Slot):
+            if piece.bare:
+                return "bare_moves"
             return _RULES.get(piece.form, piece.form)
         return " ".join(PUNCTUATION.get(token) or self._terminal(token) for token in _TOKEN.findall(piece.lower()))
 

@@ -11,7 +11,9 @@ from schemas.program import SHAPES, Category
 __all__ = ["MOST_STEPS", "Mention", "within_reach"]
 
 MOST_STEPS: Final = 2
-"""Largest number of leaves, full stops, colons and semicolons between a room's name and "that bedroom"."""
+"""Largest number of leaves, full stops, colons, semicolons and question marks between a room's name and "that
+bedroom".
+"""
 
 
 class Mention(NamedTuple):

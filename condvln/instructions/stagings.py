@@ -44,7 +44,7 @@ EVENING_ROUNDS: Final = 30
 
 COIN_PART: Final = 0.35
 """Part of a fair coin's excess that is aimed at. In exports of ReplicaCAD, betting on the truths of other stagings was
-right in 6 % too few episodes with part 0, and in 7 % too many with part 1; betting against them, the other way round.
+right 6 points below chance with part 0, and 7 points above it with part 1; betting against them, the other way round.
 """
 
 MOST_A_ROUND: Final = 5.0

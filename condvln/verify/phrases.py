@@ -409,20 +409,29 @@ class PhraseReader:
 
     @_parsed_once
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
-        """Parse moves to one or more stops, up to the end of a clause. Punctuation must follow directly after the
-        moves.
+        """Parse moves to one or more stops, up to the end of a clause. Punctuation or "if" must follow directly after
+        the moves.
         """
-        for start, _, _ in (*self._of(at, "go"), *self._of(at, "to")):
-            ahead: list[tuple[int, Moves, Named | None]] = [
-                (stop, (thing,), named) for stop, thing, named in self._things(start, last)
-            ]
-            while ahead:
-                end, moves, named = ahead.pop()
-                if end < len(self.tokens) and (self.tokens[end] in _STOPS or self._of(end, "if")):
-                    yield end, moves, named
-                for slot in ("then", "second", "last"):
-                    for after, _, _ in self._of(end, slot):
-                        ahead += [
-                            (stop, (*moves, _beside(thing, moves[-1])), room)
-                            for stop, thing, room in self._things(after, named)
-                        ]
+        for start, _, _ in self._of(at, "go"):
+            yield from self._things_in_turn(start, last)
+
+    @_parsed_once
+    def _verbless_stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
+        """Parse moves whose verb was said before: "to the lamp"."""
+        for start, _, _ in self._of(at, "to"):
+            yield from self._things_in_turn(start, last)
+
+    def _things_in_turn(self, start: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
+        ahead: list[tuple[int, Moves, Named | None]] = [
+            (stop, (thing,), named) for stop, thing, named in self._things(start, last)
+        ]
+        while ahead:
+            end, moves, named = ahead.pop()
+            if end < len(self.tokens) and (self.tokens[end] in _STOPS or self._of(end, "if")):
+                yield end, moves, named
+            for slot in ("then", "second", "last"):
+                for after, _, _ in self._of(end, slot):
+                    ahead += [
+                        (stop, (*moves, _beside(thing, moves[-1])), room)
+                        for stop, thing, room in self._things(after, named)
+                    ]

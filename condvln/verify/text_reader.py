@@ -283,7 +283,10 @@ class _Reader(PhraseReader):
         # A case that gets stops twice makes the whole text invalid, whatever follows.
         if not any(context & cases for cases, _ in state.rules):
             starts = [at, *(end for end, _, _ in self._of(at, "filler"))]
-            for end, moves, room in (found for start in starts for found in self._stops(start, state.room)):
+            # "If not, to the lamp" goes on from a "go to" before it.
+            parsers = [self._stops, self._verbless_stops] if state.rules else [self._stops]
+            told = (found for start in starts for parse in parsers for found in parse(start, state.room))
+            for end, moves, room in told:
                 yield state._replace(at=end, room=room, rules=(*state.rules, (context, moves))), base
         yield from self._request(state._replace(at=at), context, context)
         for end, _, _ in self._of(at, "if"):

@@ -17,8 +17,10 @@ Longs = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
 NONE: Final = -1
-WITHOUT_WAYPOINTS: Final = constant(0)
 """In place of a target: there is none."""
+
+WITHOUT_WAYPOINTS: Final = constant(0)
+"""In place of the number of waypoints, so that the kernel is not compiled again for a Python integer."""
 
 NO_TARGETS: Final = 0
 NO_WAYPOINT: Final = 1

@@ -505,6 +505,20 @@ def test_clauses_in_another_order_mean_the_same(text: str) -> None:
     assert read(text) == read(plain)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "If there's a lamp in the kitchen, to the toy in the bedroom. If not, go to the sink in the kitchen.",
+        "To the toy in the bedroom if there's a lamp in the kitchen. If not, go to the sink in the kitchen.",
+    ],
+)
+def test_the_first_stop_has_its_verb(text: str) -> None:
+    with pytest.raises(FormatError):
+        parse(text)
+    with pytest.raises(Unreadable):
+        read(text)
+
+
 def test_what_was_asked_about_a_room_is_not_placed_in_it_after_stops_elsewhere() -> None:
     """ "Check whether the plant is east of the TV" behind stops in other rooms leaves a listener to guess the room."""
     east = Qualifier(predicate="east of", anchors=(Anchor(object_id="t", label="television"),))
