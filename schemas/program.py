@@ -88,8 +88,8 @@ def asked_in(family: str) -> frozenset[str]:
     """Return the predicates that conditions may ask for in scenes of a family.
 
     Predicates with at least about 20 pairs of labels of either truth over at least 5 scenes of the family, as counted
-    when the list was made; docs/predicates.md has today's counts, and says which are below. With fewer, the words would give the truth away, and they only distinguish stops. Bearings are
-    true or false as the start is chosen.
+    when the list was made; docs/predicates.md has today's counts, and says which are below. With fewer, the words would
+    give the truth away, and they only distinguish stops. Bearings are true or false as the start is chosen.
     """
     return _ASKED_EVERYWHERE | _ASKED_BESIDES.get(family, frozenset())
 
