@@ -21,7 +21,7 @@ from condvln.formats.streams import atomic_stream
 from condvln.manifest import manifest_lines, manifest_path
 from condvln.sensors.textures import decoders
 from condvln.trajectories.cameras import Cameras, hub_cameras
-from condvln.trajectories.hub import SceneWalks, write_hub, write_tables
+from condvln.trajectories.hub import ANNOTATIONS, SceneWalks, write_hub, write_tables
 from condvln.trajectories.images import IMAGES, clear_parts, folders_of
 from condvln.trajectories.internvla import internvla_n1
 from condvln.trajectories.layouts import AddScene, Layout, janusvln, link, navila, new_folder
@@ -56,7 +56,7 @@ from schemas.errors import StoreError, UsageError
 from schemas.trajectory_tables import TRAJECTORY_SORT_KEYS, TRAJECTORY_TABLES
 from schemas.version import SCHEMA_VERSION
 
-__all__ = ["LAYOUTS", "RECORD", "Request", "make_trajectories", "trajectory_config"]
+__all__ = ["LAYOUTS", "RECORD", "WRITTEN", "Request", "make_trajectories", "trajectory_config"]
 
 _VIEWS: Final[Mapping[str, Layout]] = {"navila": navila, "uninavid": uninavid, "janusvln": janusvln}
 """Layouts that need the main camera only."""
@@ -72,6 +72,9 @@ LAYOUTS: Final = ("streamvln", *_VIEWS, *_OF_ALL_CAMERAS)
 
 RECIPE: Final = "recipe"
 """Folder with links to the files of the recipe, so that they can be passed on without the images."""
+
+WRITTEN: Final = (*RECIPE_FILES, ANNOTATIONS, RECIPE, *LAYOUTS[1:], f"navila/{ANNOTATIONS}")
+"""Files and folders that are written under another name until they are complete, beside the folders of images."""
 
 REF: Final = "trajectories"
 
@@ -170,7 +173,7 @@ class _Run:
     def go(self) -> Report:
         state = self.folder / STATE
         store = LocalStore(state)
-        clear_parts(self.folder)
+        clear_parts(self.folder, WRITTEN)
         pipeline = self._pipeline(state)
         forget_damaged(store, self.folder, state)
         warm_up(CompilationNote(self.console), only={"paths", "follower", "cameras", "depth images"})

@@ -14,7 +14,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from condvln.export.contents import read_index
-from condvln.manifest import manifest_lines, manifest_path, manifest_paths
+from condvln.manifest import ManifestLine, manifest_lines, manifest_path, manifest_paths
 from condvln.sources.source import HashFile, SceneHandle
 from condvln.trajectories.cameras import MAIN, modality
 from condvln.trajectories.uninavid import REDUCED
@@ -24,7 +24,7 @@ from jobs.configuration import load_config
 from jobs.looker import datasets_of
 from jobs.pipeline import BYTES_BASE, open_configured, scene_payload
 from schemas.config import CameraConfig, Config, SourceConfig, TrajectoryConfig
-from schemas.errors import InputError, MissingFileError, UsageError
+from schemas.errors import FormatError, InputError, MissingFileError, UsageError
 
 __all__ = [
     "Estimate",
@@ -48,6 +48,8 @@ image shows the same edges, so its size grows with its edge rather than with its
 """
 STEPS_PER_METRE: Final = 6.0
 """Expected actions for each metre of a route, turns included."""
+MOST_METRES: Final = 1e5
+"""Length of a route above which a manifest is taken for damaged. The longest routes of buildings have some hundred."""
 LEAST_STEPS: Final = 8.0
 """Expected actions of a walk of no length."""
 LOOK_STEPS: Final = 25.0
@@ -181,14 +183,33 @@ def _walks(kind: str, config: TrajectoryConfig) -> int:
     return config.recoveries if kind == "recovery" else 1
 
 
-def _frames(config: TrajectoryConfig, fields: Mapping[str, Any], routes: set[str]) -> Frames:
+def _metres(line: ManifestLine, length: object) -> float:
+    """Return the length of an episode's route; 0 if the field is no number, which the walks refuse with its name.
+
+    Raises
+    ------
+    FormatError : no route is that long, or as short
+    """
+    if not isinstance(length, int | float):
+        return 0.0
+    if not 0 <= length <= MOST_METRES:
+        raise FormatError(
+            f"the length of a route is not between 0 and {MOST_METRES:,.0f} m",
+            where=line.path,
+            place=f"line {line.number}: route_length",
+            remedy="Export the split again",
+        )
+    return float(length)
+
+
+def _frames(config: TrajectoryConfig, fields: Mapping[str, Any], metres: float, routes: set[str]) -> Frames:
     """Return the expected numbers of frames of one episode's walks.
 
     fields : the episode's line of the manifest
+    metres : length of its route
     routes : starts, and starts with lengths, of other gold routes in the scene; those of the episode are added
     """
     length, evidence = fields.get("route_length"), fields.get("evidence")
-    metres = float(length) if isinstance(length, int | float) else 0.0
     gold = STEPS_PER_METRE * metres + LEAST_STEPS
     more = {
         # A mistake of mean length, and as many actions to undo it.
@@ -216,6 +237,10 @@ def list_units(
     """List the scenes of the split as units, with the walks of `config` as their expected cost.
 
     A scene that no source has, or that can't be listed, becomes a unit that holds its error.
+
+    Raises
+    ------
+    MissingFileError, FormatError : the split's manifest is missing or damaged
     """
     manifest = manifest_path(target.export, target.split)
     lines: defaultdict[tuple[str, str], _Lines] = defaultdict(_Lines)
@@ -225,7 +250,7 @@ def list_units(
         found.numbers.append(line.number)
         found.size += len(line.text)
         found.state.update(hashlib.sha256(line.text).digest())
-        found.frames += _frames(config, fields, found.routes)
+        found.frames += _frames(config, fields, _metres(line, fields.get("route_length")), found.routes)
     handles = scene_handles(target, {scene for _, scene in lines}, hash_file)
     units = []
     for (family, scene_id), found in sorted(lines.items()):

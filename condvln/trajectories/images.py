@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +31,8 @@ IMAGES: Final = "images"
 """Folder of all images below the folder of the trajectories."""
 
 _PART: Final = ".part-"
+_PART_NAME: Final = re.compile(re.escape(_PART) + r"\d+-.")
+"""Beginning of the name of an unfinished folder: the process that writes it, and the walk."""
 
 
 def image_path(trajectory: str, camera: str, frame: int) -> str:
@@ -206,12 +209,18 @@ def _replace(part: Path, target: Path) -> None:
     os.rename(part, target)
 
 
-def clear_parts(folder: Path) -> None:
-    """Remove the unfinished image folders, layouts and files that killed writers left behind."""
-    for left in (folder / IMAGES).glob(f"{_PART}*"):
-        shutil.rmtree(left, ignore_errors=True)
-    # Layouts and tables are in the folder itself; some layouts write one file in a folder of its own.
-    for left in (*folder.glob(".*.part"), *folder.glob("[!.]*/.*.part")):
+def clear_parts(folder: Path, names: Iterable[str]) -> None:
+    """Remove the unfinished image folders, layouts and files that killed writers left behind. Links are not followed,
+    and other files stay.
+
+    names : paths of what is written, relative to the folder; what is unfinished is beside it, as ``.<name>.part``
+    """
+    images = folder / IMAGES
+    parts = [] if images.is_symlink() else [path for path in images.glob(f"{_PART}*") if _PART_NAME.match(path.name)]
+    for path in (folder / name for name in names):
+        if path.parent == folder or not path.parent.is_symlink():
+            parts.append(path.with_name(f".{path.name}.part"))
+    for left in parts:
         if left.is_dir() and not left.is_symlink():
             shutil.rmtree(left, ignore_errors=True)
         else:

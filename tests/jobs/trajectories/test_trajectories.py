@@ -22,7 +22,7 @@ from condvln.sensors import open_renderer
 from condvln.sources.registry import open_source
 from condvln.trajectories.walks import heading_of
 from jobs.trajectories import Request, make_trajectories, trajectory_config
-from schemas.errors import ProofError, UsageError
+from schemas.errors import FormatError, ProofError, UsageError
 from tests.jobs.trajectories.made import TINY, WALKS, content, proven, rows, to
 
 
@@ -229,6 +229,22 @@ def test_what_is_refused(asked: Request, made: Path, tmp_path: Path) -> None:
         with pytest.raises(UsageError):
             trajectory_config((), (text,))
     assert (tmp_path / "mine" / "thesis.tex").exists()
+
+
+@pytest.mark.parametrize("length", ["1e200", "1e154", "-1.0", "100001", "1" + "0" * 30])
+def test_a_route_of_a_length_that_no_route_has_is_refused_with_its_line(
+    asked: Request, tmp_path: Path, length: str
+) -> None:
+    export = shutil.copytree(asked.target, tmp_path / "export")
+    path = export / "manifest" / f"{asked.split}.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    fields = json.loads(lines[1])
+    fields["route_length"] = 12345.25
+    lines[1] = json.dumps(fields).replace("12345.25", length) + "\n"
+    path.write_text("".join(lines))
+    with pytest.raises(FormatError, match="length of a route") as caught:
+        make_trajectories(to(asked, tmp_path / "planned", target=str(export), plan=True))
+    assert (caught.value.where, caught.value.place) == (str(path), "line 2: route_length")
 
 
 def test_a_plan_makes_nothing(asked: Request, made: Path, tmp_path: Path) -> None:
