@@ -22,8 +22,10 @@ class Server(Protocol):
 
 
 @contextmanager
-def running(server: Server, seconds: float = SECONDS) -> Iterator[None]:
+def running(server: Server, *, starting: float = SECONDS, ending: float = SECONDS) -> Iterator[None]:
     """Run a server during the block.
+
+    starting, ending : seconds within which it has to start, and to end
 
     Raises
     ------
@@ -31,17 +33,17 @@ def running(server: Server, seconds: float = SECONDS) -> Iterator[None]:
     """
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
-    latest = time.monotonic() + seconds
+    latest = time.monotonic() + starting
     try:
         while not server.started:
             if not thread.is_alive():
                 raise RuntimeError("the server ended before it had started")
             if time.monotonic() > latest:
-                raise RuntimeError(f"the server did not start within {seconds:g} s")
+                raise RuntimeError(f"the server did not start within {starting:g} s")
             time.sleep(0.01)
         yield
     finally:
         server.should_exit = True
-        thread.join(seconds)
+        thread.join(ending)
     if thread.is_alive():
-        raise RuntimeError(f"the server did not end within {seconds:g} s")
+        raise RuntimeError(f"the server did not end within {ending:g} s")
