@@ -1,4 +1,4 @@
-"""Whether evidence that is visible from the start (O0) has pixels in level views turned through 360° there.
+"""Count how much evidence that is visible from the start (O0) has pixels in level views turned through 360° there.
 
 ``python -m benchmarks evidence`` makes episodes in real and made scenes and looks from each start in the eight
 directions that are 45° apart, with a level camera of 90° × 90°. It prints the share of true conditions with O0 of which
@@ -35,11 +35,11 @@ PIXELS: Final = (224, 896)
 DIRECTIONS: Final = 8
 
 
-def worlds(kind: str, family: str, count: int) -> Iterator[World]:
-    """The first `count` scenes of a real family, or made ones."""
+def worlds(kind: str, family: str, count: int, made: Path) -> Iterator[World]:
+    """Open the first `count` scenes of a real family, or as many that are made in the folder `made`."""
     folder = REAL / family
     if kind == "made":
-        folder = Path(tempfile.mkdtemp(prefix="evidence"))
+        folder = made / family
         make_samples(folder, family=family, scenes=count, seed=11)
     source = open_source(family, folder)
     for name in source.scene_ids()[:count]:
@@ -47,7 +47,7 @@ def worlds(kind: str, family: str, count: int) -> Iterator[World]:
 
 
 def pixels_of(world: World, row: ManifestEpisode, pixels: int) -> dict[int, int]:
-    """The largest number of pixels that each object has in one of the views from a start, by its number plus 1."""
+    """Return the most pixels that each object has in one of the views from a start, by its number plus 1."""
     camera = CameraConfig(width=pixels, height=pixels, hfov=90.0, max_depth=None, normalized=False)
     most: dict[int, int] = {}
     for turn in range(DIRECTIONS):
@@ -60,7 +60,7 @@ def pixels_of(world: World, row: ManifestEpisode, pixels: int) -> dict[int, int]
 
 
 def shown(world: World, condition: Condition, most: dict[int, int]) -> bool:
-    """Whether a witness of a true condition and its anchors have pixels."""
+    """Return whether a witness of a true condition and its anchors have pixels."""
     number = {item.object_id: k + 1 for k, item in enumerate(world.scene.objects)}
     anchors = () if condition.qualifier is None else condition.qualifier.anchor_ids
     return any(all(most.get(number[name], 0) for name in (witness, *anchors)) for witness in condition.witnesses)
@@ -68,6 +68,12 @@ def shown(world: World, condition: Condition, most: dict[int, int]) -> bool:
 
 def main() -> None:
     """Print the shares, and what is missing."""
+    with tempfile.TemporaryDirectory(prefix="evidence") as name:
+        count_all(Path(name))
+
+
+def count_all(made: Path) -> None:
+    """Count in real scenes, and in made ones that are written below `made`."""
     total = np.zeros((0, len(PIXELS)), bool)
     wanted = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), counterfactual_groups=0)
     for kind, families in (("real", SCANNED), ("made", MADE)):
@@ -75,7 +81,7 @@ def main() -> None:
             if kind == "real" and not (REAL / family).is_dir():
                 continue
             found: list[list[bool]] = []
-            opened = list(worlds(kind, family, count))
+            opened = list(worlds(kind, family, count, made))
             priors = label_priors(world.scene for world in opened)
             for world in opened:
                 for row in world.episodes(instructions=wanted, priors=priors):

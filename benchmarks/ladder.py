@@ -4,7 +4,8 @@
 (CONDVLN_REAL_DATA, or shared/data beside the checkout), walks every agent through them, and writes the tables of
 docs/ladder.md. CONDVLN_LADDER sets the number of episodes of a category and scene, CONDVLN_LADDER_WORKERS that of
 processes. Errors are paired: a level keeps the errors of the one below. With CONDVLN_LADDER_ROWS, a file, every scene's
-results are added to it once its agents have walked; a run that was stopped goes on from there.
+results are added to it once its agents have walked; a run that was stopped goes on from there. CONDVLN_LADDER_SCENES is
+the number of scenes to take: no more of them than the file has results of are printed without walking.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -50,7 +51,7 @@ OTHERS: Final = {
 
 @dataclass(frozen=True)
 class Row:
-    """What one agent did in one episode; `why` it failed, empty where it did not."""
+    """The result of one agent in one episode; `why` it failed, empty where it did not."""
 
     agent: str
     data: str
@@ -67,7 +68,7 @@ class Row:
 
 
 def agents() -> dict[str, LookerConfig | str]:
-    """All rungs by name: a configuration of the agent that looks, or the name of another agent."""
+    """Return all rungs by name: a configuration of the agent that looks, or the name of another agent."""
     rungs: dict[str, LookerConfig | str] = {"oracle": "oracle"}
     for level in LEVELS:
         noise = NoiseConfig(missed=level, confused=level, false=level)
@@ -76,26 +77,26 @@ def agents() -> dict[str, LookerConfig | str]:
 
 
 @cache
-def scenes_of(data: str) -> tuple[Any, list[str], Any]:
+def scenes_of(data: str, made: Path) -> tuple[Any, list[str], Any]:
     """Return the source of ``made/<family>`` or ``real/<family>``, the ids of the scenes that are taken, and how usual
     labels are in them.
+
+    made : folder of the made scenes of all families
     """
     kind, _, family = data.partition("/")
     if kind == "real":
         source = open_source(family, REAL / family)
         names = source.scene_ids()[: SCANNED[family]]
     else:
-        folder = Path(tempfile.mkdtemp(prefix="ladder"))
-        make_samples(folder, family=family, scenes=MADE[family], seed=11)
-        source = open_source(family, folder)
+        source = open_source(family, made / family)
         names = source.scene_ids()
     return source, names, label_priors(source.read(name) for name in names)
 
 
-def walked(job: tuple[str, int]) -> list[Row]:
+def walked(job: tuple[str, int], made: Path) -> list[Row]:
     """Walk every agent through the episodes of one scene, given by its data and its number there."""
     data, number = job
-    source, names, priors = scenes_of(data)
+    source, names, priors = scenes_of(data, made)
     if number >= len(names):
         return []
     world = open_world(source, names[number])
@@ -159,7 +160,7 @@ def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def grouped(rows: Sequence[Row], key: Callable[[Row], str], names: Sequence[str]) -> str:
-    """CSR-all of every agent by some property of episodes."""
+    """Format a table of every agent's CSR-all by some property of episodes."""
     values = sorted({key(row) for row in rows})
     lines = [
         [name, *(cell([row for row in rows if row.agent == name and key(row) == value], "csr") for value in values)]
@@ -169,7 +170,7 @@ def grouped(rows: Sequence[Row], key: Callable[[Row], str], names: Sequence[str]
 
 
 def page(rows: Sequence[Row]) -> str:
-    """The tables."""
+    """Format all tables."""
     names = [name for name in agents() if any(row.agent == name for row in rows)]
     main_lines = []
     for name in names:
@@ -204,21 +205,54 @@ def page(rows: Sequence[Row]) -> str:
     )
 
 
+def header() -> dict[str, Any]:
+    """Return what results depend on, beside the code: the first line of the file that keeps them."""
+    return {"episodes of a category": PER_CATEGORY, "agents": [*agents()], "made": MADE, "real": SCANNED}
+
+
+def kept_rows(path: Path) -> dict[tuple[str, int], list[Row]]:
+    """Return the results in a file by scene; a file that is not there, or has no whole line, begins with its header.
+
+    A last line that is cut, because its writer was killed, is removed.
+
+    Raises
+    ------
+    SystemExit : the results are of other settings
+    """
+    data = path.read_bytes() if path.exists() else b""
+    whole = data[: data.rfind(b"\n") + 1]
+    first, *lines = whole.decode().split("\n")[:-1] or [json.dumps(header())]
+    if first != json.dumps(header()):
+        raise SystemExit(
+            f"{path}: these results are not of the settings {json.dumps(header(), ensure_ascii=False)}. Set "
+            "CONDVLN_LADDER as it was, or name another file."
+        )
+    if whole:
+        os.truncate(path, len(whole))
+    else:
+        path.write_text(first + "\n", encoding="utf-8")
+    found = {}
+    for data, number, rows in map(json.loads, lines):
+        found[data, number] = [Row(**row) for row in rows]
+    return found
+
+
 def walked_all(jobs: Sequence[tuple[str, int]]) -> list[Row]:
     """Walk every agent through all scenes, except those whose results are in the file of CONDVLN_LADDER_ROWS."""
     kept = Path(os.environ["CONDVLN_LADDER_ROWS"]) if "CONDVLN_LADDER_ROWS" in os.environ else None
-    done: dict[tuple[str, int], list[Row]] = {}
-    if kept is not None and kept.exists():
-        for line in kept.read_text(encoding="utf-8").splitlines():
-            data, number, rows = json.loads(line)
-            done[data, number] = [Row(**row) for row in rows]
+    done = {} if kept is None else kept_rows(kept)
     left = [job for job in jobs if job not in done]
-    with ProcessPoolExecutor(int(os.environ.get("CONDVLN_LADDER_WORKERS", "2"))) as pool:
-        for job, rows in zip(left, pool.map(walked, left), strict=True):
-            done[job] = rows
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps([*job, [asdict(row) for row in rows]]) + "\n")
+    if left:
+        with tempfile.TemporaryDirectory(prefix="ladder") as name:
+            made = Path(name)
+            for family in sorted({data.partition("/")[2] for data, _ in left if data.startswith("made/")}):
+                make_samples(made / family, family=family, scenes=MADE[family], seed=11)
+            with ProcessPoolExecutor(int(os.environ.get("CONDVLN_LADDER_WORKERS", "2"))) as pool:
+                for job, rows in zip(left, pool.map(partial(walked, made=made), left), strict=True):
+                    done[job] = rows
+                    if kept is not None and rows:
+                        with kept.open("a", encoding="utf-8") as file:
+                            file.write(json.dumps([*job, [asdict(row) for row in rows]]) + "\n")
     return [row for job in jobs for row in done[job]]
 
 
@@ -228,7 +262,7 @@ def main() -> None:
     counts |= {f"real/{family}": count for family, count in SCANNED.items() if (REAL / family).is_dir()}
     # In turn, so that a run that is stopped has scenes of all data.
     jobs = [(data, number) for number in range(max(counts.values())) for data in counts if number < counts[data]]
-    text = page(walked_all(jobs))
+    text = page(walked_all(jobs[: int(os.environ.get("CONDVLN_LADDER_SCENES", len(jobs)))]))
     before = PAGE.read_text(encoding="utf-8").split(MARK)[0] if PAGE.exists() else "# The ladder\n\n"
     PAGE.write_text(f"{before}{MARK}\n\n{text}\n", encoding="utf-8")
     sys.stdout.write(f"{text}\n\n{PAGE}\n")
