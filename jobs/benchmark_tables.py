@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 from jobs.report import Section
@@ -12,9 +13,11 @@ __all__ = ["cell_table", "part_lines", "short_lines", "source_table", "stop_tabl
 
 
 def source_table(file: BenchmarkFile, record: BenchmarkRecord) -> Section:
-    """Return the table of the scenes, instructions and episodes of each family, beside the scenes of whole copies."""
+    """Return the table of the scenes, instructions and episodes of each family, beside the number of scenes that the
+    run takes of whole copies.
+    """
     rows = [(name, s.scenes, file.scenes.get(name), s.instructions, s.episodes) for name, s in record.sources.items()]
-    return Section("Sources", ("source", "scenes", "in whole copies", "instructions", "episodes"), [*rows])
+    return Section("Sources", ("source", "scenes", "taken of whole copies", "instructions", "episodes"), [*rows])
 
 
 def short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
@@ -38,16 +41,24 @@ def short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
 
 
 def part_lines(file: BenchmarkFile, record: BenchmarkRecord) -> list[str]:
-    """Return a report line about the families of which scenes are missing; no line if there are none."""
-    found = [(name, whole, record.sources.get(name)) for name, whole in file.scenes.items()]
-    parts = [
-        f"{name} {here.scenes if here is not None else 0} of {whole} scenes"
-        for name, whole, here in found
-        if here is None or here.scenes < whole
-    ]
-    if not parts:
-        return []
-    return [f"a build of a part of the scenes, with another id than the whole: {', '.join(parts)}"]
+    """Return a report line about the families of which scenes are missing, and one about scenes that are there and
+    were quarantined or skipped; no line where there are none.
+    """
+    here = Counter(scene.partition("/")[0] for scene in record.scenes)
+    parts = [f"{name} {here[name]} of {whole} scenes" for name, whole in file.scenes.items() if here[name] < whole]
+    refused = Counter(
+        (scene.partition("/")[0], found.status) for scene, found in record.scenes.items() if found.status != "ok"
+    )
+    lines = []
+    if parts:
+        lines.append(
+            "a build of a part of the scenes, so its snapshot id differs from that of a whole build: "
+            f"{', '.join(parts)}"
+        )
+    if refused:
+        told = [f"{family} {number} {status}" for (family, status), number in sorted(refused.items())]
+        lines.append(f"scenes without rows: {', '.join(told)}")
+    return lines
 
 
 def cell_table(file: BenchmarkFile, record: BenchmarkRecord) -> Section:

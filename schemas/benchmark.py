@@ -49,7 +49,8 @@ class BenchmarkFile(Document):
     )
     scenes: dict[str, Count] = Field(
         default_factory=dict,
-        description="number of scenes that whole copies of the datasets have, by family; a build with fewer says so",
+        description="number of scenes that the run takes of whole copies of the datasets, by family; a build with "
+        "fewer says so",
     )
     stages: dict[str, int] = Field(description="version of each stage")
 

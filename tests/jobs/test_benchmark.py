@@ -19,6 +19,7 @@ from condvln.export.splits import SPLITS, scene_group
 from condvln.samples import make_samples
 from condvln.sources.scene_choice import SceneChoice
 from jobs.benchmark import RECORD, Benchmark, build_benchmark, check_benchmark, read_record
+from jobs.benchmark_tables import part_lines
 from jobs.evaluate import walk_split
 from jobs.leaderboard import REFERENCES, score_benchmark
 from jobs.pipeline import build_pipeline
@@ -103,6 +104,7 @@ def test_a_build_of_a_part_of_the_scenes_says_so(built: tuple[Path, Any], tmp_pa
     (table,) = [section for section in report.sections if section.title == "Sources"]
     record = read_record(path.parent / "export")
     found = record.sources["replicacad"]
+    assert table.columns == ("source", "scenes", "taken of whole copies", "instructions", "episodes")
     assert table.rows == [("replicacad", 2, None, found.instructions, found.episodes)]
     folder = shutil.copytree(path.parent, tmp_path / "copy")
     document = yaml.safe_load((folder / "benchmark.yaml").read_text())
@@ -110,7 +112,30 @@ def test_a_build_of_a_part_of_the_scenes_says_so(built: tuple[Path, Any], tmp_pa
         (folder / "benchmark.yaml").write_text(yaml.safe_dump({**document, "scenes": whole}))
         lines = [line for line in build_benchmark(folder / "benchmark.yaml", inline=True).lines if "a part of" in line]
         assert [line.partition(": ")[2].replace(" scenes", "") for line in lines] == ([said] if said else [])
+        assert all("so its snapshot id differs from that of a whole build: " in line for line in lines)
     assert read_record(folder / "export") == record, "the record does not depend on it"
+
+
+def test_missing_scenes_are_told_from_those_that_were_refused(built: tuple[Path, Any]) -> None:
+    path, _ = built
+    record = read_record(path.parent / "export")
+    file = Benchmark.read(path).file.model_copy(update={"scenes": {"mp3d": 90, "replicacad": 3}})
+
+    def lines(**statuses: str) -> list[str]:
+        """The report's lines if these scenes of the family have a status of their own."""
+        scene = next(iter(record.scenes.values()))
+        added = {f"replicacad/{name}": scene.model_copy(update={"status": what}) for name, what in statuses.items()}
+        return part_lines(file, record.model_copy(update={"scenes": record.scenes | added}))
+
+    part = "a build of a part of the scenes, so its snapshot id differs from that of a whole build: mp3d 0 of 90 scenes"
+    assert lines() == [f"{part}, replicacad 2 of 3 scenes"]
+    assert lines(a="quarantined") == [part, "scenes without rows: replicacad 1 quarantined"]
+    assert lines(a="skipped", b="quarantined", c="quarantined") == [
+        part,
+        "scenes without rows: replicacad 2 quarantined, replicacad 1 skipped",
+    ]
+    bare = file.model_copy(update={"scenes": {}})
+    assert part_lines(bare, record) == []
 
 
 def test_a_build_tells_every_cell_and_the_stops_before_the_goals(built: tuple[Path, Any]) -> None:
