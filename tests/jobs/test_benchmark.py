@@ -289,7 +289,9 @@ def test_a_board_with_scenes_has_a_row_of_looker(built: tuple[Path, Any], datase
     assert rows.keys() == {*REFERENCES, "looker"}
     assert (rows["looker"]["kind"], rows["looker"]["predictions_sha256"]) == ("reference", None)
     right = {name: row["measures"]["leaf_correct"]["mean"] for name, row in rows.items()}
-    assert right["looker"] > max(right[name] for name in REFERENCES if name != "oracle")
+    # One draw of random-leaf over so few episodes may be right as often.
+    assert right["looker"] > max(right[name] for name in REFERENCES if name not in ("oracle", "random-leaf"))
+    assert right["looker"] >= 0.7
     assert not any("no row looker" in line for line in report.lines)
 
 
