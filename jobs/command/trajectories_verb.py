@@ -86,8 +86,8 @@ def trajectories(
         bool,
         typer.Option(
             "--licensed",
-            help="you have accepted the terms of scans whose images must not be passed on (Matterport3D, Gibson), and "
-            "keep the images to yourself",
+            help="you have accepted the terms of scans whose images must not be passed on (Matterport3D, HM3D, "
+            "Gibson), and keep the images to yourself",
         ),
     ] = False,
     recipe_only: Annotated[
