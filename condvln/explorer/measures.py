@@ -304,9 +304,13 @@ def _closest_call(predicate: str, pair: Sequence[Criterion], truth: bool) -> tup
     """Return the closeness and the index of the criterion that decides: the tightest one where all must hold, else the
     clearest one.
     """
-    asked = [(one.closeness(truth), k) for k, one in enumerate(pair) if (one.true if truth else one.false) is not None]
-    every = truth or predicate in _ON_ALL
-    return min(asked) if every else max(asked)
+    all_deny = not truth and predicate in _ON_ALL  # each by the same quantity, so that the differences compare
+    asked = [
+        (one.slack(truth) if all_deny else one.closeness(truth), k)
+        for k, one in enumerate(pair)
+        if (one.true if truth else one.false) is not None
+    ]
+    return min(asked) if truth or all_deny else max(asked)
 
 
 def _sentence(predicate: str, pair: Sequence[Criterion], k: int, truth: bool) -> str:

@@ -75,8 +75,17 @@ def test_a_direction_and_a_support_have_their_units() -> None:
     cup, desk = thing("cup", (2, 0.8, 1), (2.1, 0.9, 1.1)), thing("desk", (0, 0, 0), (1, 0.75, 0.5))
     angle = decided("west of", measured("west of", cup, desk), False)
     assert re.fullmatch(
-        r"angle away from west 1\d\d\.\d°; “west of” needs at most 15\.0°, .* by \d+\.\d°", angle["says"]
+        r"angle away from west, from the anchor's nearest point 152\.4°; “west of” needs at most 27\.0°, .* by 92\.4°",
+        angle["says"],
     )
+    # All three angles must deny, so the smallest decides.
+    denied = measured("west of", thing("cup", (1.6, 0.8, 1.0), (1.7, 0.9, 1.1)), desk)
+    found = decided("west of", denied, False)
+    angles = [one["value"] for one in found["criteria"] if one["false"]]
+    (chosen,) = (one["value"] for one in found["criteria"] if one["decides"])
+    assert len(set(angles)) > 1
+    assert chosen == min(angles)
+    assert found["margin"] == pytest.approx(chosen - 60.0, abs=0.05)
     on = decided("on", measured("on", cup, desk), False)
     assert (
         "distance between the footprints 1.12 m; “not on” needs more than 0 m; so it is false, by 1.12 m" in on["says"]
