@@ -12,9 +12,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
+from condvln.evaluation.split import split_tasks
 from condvln.export.splits import SPLITS, scene_group
 from condvln.samples import make_samples
 from condvln.sources.scene_choice import SceneChoice
@@ -283,16 +285,35 @@ def test_a_submission_may_not_be_called_looker(built: tuple[Path, Any], dataset:
 
 
 @pytest.mark.soak
-def test_a_board_with_scenes_has_a_row_of_looker(built: tuple[Path, Any], dataset: Path) -> None:
-    report = score_benchmark(built[0].parent / "export", "val_unseen", [], scenes=[f"replicacad={dataset}"])
+def test_a_board_with_scenes_has_a_row_of_looker(tmp_path: Path) -> None:
+    """Its row is the score of its own walks. It takes the right branch more often than guessers do, or luck allows."""
+    data = tmp_path / "data"
+    make_samples(data, family="replicacad", scenes=4, seed=5)
+    build_benchmark(written(tmp_path / "built", data), inline=True)
+    export, scenes = tmp_path / "built" / "export", [f"replicacad={data}"]
+    report = score_benchmark(export, "val_unseen", [], scenes=scenes)
     rows = {row["agent"]: row for row in report.document["rows"]}
     assert rows.keys() == {*REFERENCES, "looker"}
-    assert (rows["looker"]["kind"], rows["looker"]["predictions_sha256"]) == ("reference", None)
-    right = {name: row["measures"]["leaf_correct"]["mean"] for name, row in rows.items()}
-    # One draw of random-leaf over so few episodes may be right as often.
-    assert right["looker"] > max(right[name] for name in REFERENCES if name not in ("oracle", "random-leaf"))
-    assert right["looker"] >= 0.7
     assert not any("no row looker" in line for line in report.lines)
+
+    walk_split(export, "val_unseen", "looker", tmp_path / "again.json", [], seed=0, datasets=scenes)
+    (again,) = score_benchmark(
+        export, "val_unseen", [tmp_path / "again.json"], references=False, roots=[data]
+    ).document["rows"]
+    assert (rows["looker"]["kind"], rows["looker"]["predictions_sha256"]) == ("reference", None)
+    for key in ("episodes", "missing", "measures"):
+        assert rows["looker"][key] == again[key]
+
+    right = {name: row["measures"]["leaf_correct"]["mean"] for name, row in rows.items()}
+    assert right["looker"] > max(right[name] for name in REFERENCES if name != "oracle")
+    # How often an agent that draws a leaf at random would be right as often, over all its draws.
+    leaves = [task.n_leaves for task in split_tasks(export, "val_unseen")]
+    assert len(leaves) == rows["looker"]["episodes"] >= 24
+    odds = np.ones(1)
+    for count in leaves:
+        odds = np.convolve(odds, [1 - 1 / count, 1 / count])
+    assert odds[round(right["looker"] * len(leaves)) :].sum() < 1e-4
+    assert right["looker"] >= 0.9
 
 
 def test_a_final_version_is_not_built_with_stages_of_another(dataset: Path, tmp_path: Path) -> None:
