@@ -22,7 +22,7 @@ from condvln.manifest import manifest_lines, manifest_path
 from condvln.sensors.textures import decoders
 from condvln.trajectories.cameras import Cameras, hub_cameras
 from condvln.trajectories.hub import ANNOTATIONS, SceneWalks, write_hub, write_tables
-from condvln.trajectories.images import IMAGES, clear_parts, folders_of
+from condvln.trajectories.images import IMAGES, clear_parts, clear_walks
 from condvln.trajectories.internvla import internvla_n1
 from condvln.trajectories.layouts import AddScene, Layout, janusvln, link, navila, new_folder
 from condvln.trajectories.lerobot import lerobot
@@ -48,7 +48,7 @@ from jobs.trajectory_images import forget_damaged
 from jobs.trajectory_notes import note_lines, scene_notes
 from jobs.trajectory_progress import Speed, plan_lines
 from jobs.trajectory_recipe import Comparison, encoder_lines, recipe_target, recipe_units, scene_files
-from jobs.trajectory_request import STATE, Request, refuse_strangers, trajectory_config
+from jobs.trajectory_request import STATE, Request, refuse_links, refuse_strangers, trajectory_config
 from jobs.trajectory_units import Target, estimate, find_target, list_units
 from jobs.workspace import git_revision, hasher
 from schemas.config import CameraConfig, TrajectoryConfig
@@ -100,6 +100,7 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
     console = console or Console(stderr=True)
     folder = request.out.resolve()
     refuse_strangers(folder)
+    refuse_links(folder, (IMAGES, RECIPE, *LAYOUTS[1:]))
     if request.recipe_only and (folder / IMAGES).exists():
         raise UsageError("the folder has images", where=folder, place="--recipe-only", remedy="Name another folder.")
     state = folder / STATE
@@ -241,9 +242,7 @@ class _Run:
         if keep:
             for name in set(LAYOUTS[1:]) - set(work.layouts):
                 shutil.rmtree(self.folder / name, ignore_errors=True)
-            for name, path in folders_of(self.folder).items():
-                if name not in kept:
-                    shutil.rmtree(path)
+            clear_walks(self.folder, kept)
         terms = licences(unit.partition for unit in work.units)
         libraries = {name: metadata.version(name) for name in _LIBRARIES}
         notes = scene_notes(snapshot, pipeline, work.units)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -13,7 +13,7 @@ from jobs.assignments import read_section
 from schemas.config import TrajectoryConfig
 from schemas.errors import UsageError
 
-__all__ = ["STATE", "Request", "refuse_strangers", "trajectory_config"]
+__all__ = ["STATE", "Request", "refuse_links", "refuse_strangers", "trajectory_config"]
 
 STATE: Final = ".condvln"
 """Store of the run below the folder: what is committed, and who wrote which images."""
@@ -74,3 +74,17 @@ def refuse_strangers(folder: Path) -> None:
             place="--out",
             remedy="Name an empty folder.",
         )
+
+
+def refuse_links(folder: Path, names: Iterable[str]) -> None:
+    """Refuse a folder of which one of `names` is a link: a run replaces and removes what is in them, and must not do so
+    elsewhere.
+    """
+    for path in (folder / name for name in names):
+        if path.is_symlink():
+            raise UsageError(
+                "this is a link, and what a run replaces or removes would lie outside of its folder",
+                where=path,
+                place="--out",
+                remedy="Name the folder on the other disk by --out, or let the whole folder be a link.",
+            )

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +25,7 @@ from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import StoreError
 from schemas.trajectory_tables import POSES, STEPS
 
-__all__ = ["IMAGES", "ImageWriter", "image_path", "writing"]
+__all__ = ["IMAGES", "ImageWriter", "clear_parts", "clear_walks", "image_path", "writing"]
 
 IMAGES: Final = "images"
 """Folder of all images below the folder of the trajectories."""
@@ -204,9 +204,17 @@ def _write(path: str, data: bytes) -> None:
 
 def _replace(part: Path, target: Path) -> None:
     """Move the finished folder `part` to `target`, in place of an older folder if there is one."""
-    if target.exists():
-        shutil.rmtree(target)
+    if target.is_symlink() or target.exists():
+        _remove(target)
     os.rename(part, target)
+
+
+def _remove(path: Path) -> None:
+    """Remove a folder with its files, or a link to a folder, whose target stays."""
+    if path.is_symlink():
+        path.unlink()
+    else:
+        shutil.rmtree(path)
 
 
 def clear_parts(folder: Path, names: Iterable[str]) -> None:
@@ -227,6 +235,11 @@ def clear_parts(folder: Path, names: Iterable[str]) -> None:
             left.unlink(missing_ok=True)
 
 
-def folders_of(folder: Path) -> Mapping[str, Path]:
-    """Return the image folder of each walk, by the walk's name."""
-    return {path.name: path for path in (folder / IMAGES).glob("*") if path.is_dir()}
+def clear_walks(folder: Path, kept: Container[str]) -> None:
+    """Remove the image folders of all walks whose names are not in `kept`. Links are removed, and what they lead to
+    stays.
+    """
+    images = folder / IMAGES
+    for path in [] if images.is_symlink() else list(images.glob("*")):
+        if path.is_dir() and path.name not in kept:
+            _remove(path)

@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from condvln.trajectories.images import clear_parts
-from jobs.trajectories import WRITTEN, Request, make_trajectories
+from jobs.trajectories import LAYOUTS, RECIPE, WRITTEN, Request, make_trajectories
+from schemas.errors import UsageError
+from tests.jobs.trajectories.made import content
 from tests.jobs.trajectories.test_recipe import again, recipe
 
 __all__ = ["recipe"]
@@ -91,3 +93,36 @@ def test_nothing_outside_of_the_folder_is_removed(tmp_path: Path) -> None:
     (own / ".part-1-w").symlink_to(elsewhere)
     clear_parts(own.parent, WRITTEN)
     assert [path for path in kept if not path.exists()] == []
+
+
+@pytest.mark.parametrize("name", ["images", RECIPE, *LAYOUTS[1:]])
+def test_a_linked_folder_is_refused_before_anything_changes(
+    asked: Request, recipe: Path, tmp_path: Path, name: str
+) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    kept = put(elsewhere / "holiday" / "001.jpg")
+    (out / ".condvln").mkdir(parents=True)
+    (out / name).symlink_to(elsewhere)
+    with pytest.raises(UsageError, match="is a link") as caught:
+        make_trajectories(again(asked, recipe, out))
+    assert caught.value.where == str(out / name)
+    assert [path for path in elsewhere.rglob("*") if path.is_file()] == [kept]
+    assert (out / name).is_symlink()
+    assert not any((out / ".condvln").iterdir())
+
+
+def test_a_linked_walk_is_replaced_and_what_it_leads_to_stays(asked: Request, recipe: Path, tmp_path: Path) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    make_trajectories(again(asked, recipe, out))
+    made = content(out)
+    (walk,) = (out / "images").iterdir()
+    kept = put(elsewhere / "rgb" / "001.jpg")
+    # A walk that the folder does not have, and one that must be made again.
+    (out / "images" / "stray").symlink_to(elsewhere)
+    walk.rename(tmp_path / "walk")
+    walk.symlink_to(elsewhere)
+    assert make_trajectories(again(asked, recipe, out)).exit_code == 0
+    assert kept.read_bytes() == b"kept"
+    assert [path for path in elsewhere.rglob("*") if path.is_file()] == [kept]
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+    assert content(out) == made
