@@ -10,8 +10,8 @@ from typing import Any, Final
 from lark import Lark, Tree
 from lark.exceptions import LarkError
 
+from condvln.instructions.grammar_source import grammar_source
 from condvln.instructions.language import Language, Slot, language
-from condvln.instructions.parsing import grammar_source
 from schemas.program import Program
 
 __all__ = ["clauses"]

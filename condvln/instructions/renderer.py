@@ -8,8 +8,10 @@ from itertools import pairwise
 from typing import Final
 
 from condvln.instructions.language import Form, Language, Noun, Slot, Template, Voice
+from condvln.instructions.naming import Naming, labels_of
 from condvln.instructions.reach import Mention, within_reach
-from condvln.instructions.sentences import LONGEST_SENTENCE, sentences
+from condvln.instructions.sentences import sentences
+from condvln.instructions.template_choice import TemplateChoice
 from condvln.seeding import Draws
 from schemas.program import (
     BEARINGS,
@@ -53,6 +55,7 @@ class Renderer:
 
     def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
         self.words, self.voice, self.draws, self.short = words, voice, draws, short
+        self.naming = Naming()
         self.scope: RoomRef | None = None
         self.last_room: str | None = None
         self._chosen: dict[str, str] = {}
@@ -64,7 +67,6 @@ class Renderer:
         self._answered = "", 0
         self._requests = 0
         self._is_room_first = False
-        self._shared: set[str] = set()
         self._asked_by_exists = self._asked_by_look = False
         self._looked_at: int | None = None
         self._denied: int | None = None
@@ -79,8 +81,6 @@ class Renderer:
         self._request_before = ""
         self._room_of: dict[str, str] = {}
         self._found: set[str] = set()
-        self._noun_only: frozenset[str] = frozenset()
-        self._once: frozenset[str] = frozenset()
         self._compounds = False
         self._there = False
         self._joined_next: Form | None = None
@@ -91,93 +91,19 @@ class Renderer:
         self._clause_room: str | None = None
 
     def program(self, program: Program) -> str:
-        rooms = _rooms(program)
-        self._types = [room.label for room in rooms]
+        naming = self.naming = Naming.of(program)
+        self._types = [room.label for room in naming.rooms]
         self._category = program.category
-        if len(rooms) > 1:
-            self._shared = _shared(program)
-        asked = [condition.label for condition in program.conditions]
-        self._once = frozenset([label for label in asked if asked.count(label) == 1])
-        elsewhere: set[str] = set()
-        for leaf in program.leaves:
-            for move in leaf.moves:
-                elsewhere.update(_labels(move))
-        for condition in program.conditions:
-            elsewhere.update(_labels(condition)[1:])
-        self._noun_only = self._once - elsewhere
         self._compounds = bool(self.words.compounds[0]) and self._chance(COMPOUND_SHARE)
-        opening = self._scope(rooms)
+        opening = self._scope(naming.rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
-        template = self.draws.choice(templates) if self.short else self._drawn(templates, program, bool(opening))
+        choice = TemplateChoice(program, naming, self.words, scoped=bool(opening))
+        template = self.draws.choice(templates) if self.short else choice.draw(templates, self.draws)
         self._whether, self._answered_next = template.whether, template.answered
         body = self._filled_in(template, program)
         if self._is_room_first:
             body = body.replace(" , ", ", ")
         return sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
-
-    def _drawn(self, templates: tuple[Template, ...], program: Program, scoped: bool) -> Template:
-        """Return a template, drawn at random from those that read well for a program.
-
-        scoped : whether the text begins with its room, so that it has no question: "in the bedroom, is the lamp …"
-        """
-        left = list(templates)
-        kept: list[Template] = []
-        sizes: tuple[list[int], list[int]] | None = None
-        while left:
-            template = left.pop(self.draws.index(len(left)) if len(left) > 1 else 0)
-            if template.is_choosy and not self._is_sayable(template, program):
-                continue
-            if self._is_wearying(template, program) or self._asks_apart(template, program, scoped):
-                kept.append(template)
-            else:
-                sizes = sizes or self._sizes(program)
-                if not _is_long(template, *sizes):
-                    return template
-                kept.insert(0, template)
-        return kept[0]
-
-    def _is_sayable(self, template: Template, program: Program) -> bool:
-        """Return whether the leaf before the first condition has one stop, which is in another room, and the nouns of
-        "neither a lamp nor a bed" can stand for their conditions.
-        """
-        room = program.conditions[0].room
-        for k in template.leading:
-            first, *others = program.leaves[k].moves
-            if others or (first.room.room_id == room.room_id and not self._elided(room)):
-                return False
-        return all(self._has_article(program.conditions[k]) for k in template.paired)
-
-    def _has_article(self, condition: Condition) -> bool:
-        """Return whether a condition can be repeated by its noun alone, with the indefinite article."""
-        return not condition.definite and condition.label in self._noun_only
-
-    def _is_wearying(self, template: Template, program: Program) -> bool:
-        """Return whether a template states a condition with its relation three times."""
-        again = template.restated
-        return bool(again) and not all(self._has_article(program.conditions[k]) for k in again)
-
-    def _asks_apart(self, template: Template, program: Program, scoped: bool) -> bool:
-        """Return whether a template asks questions like "is the lamp in the bedroom with the desk near the bed?", or
-        any question in a text that begins with its room (`scoped`).
-        """
-        if scoped or not template.questions:
-            return scoped and bool(template.questions)
-        asked = [program.conditions[k] for k in template.questions]
-        return any(condition.definite and condition.room.anchor_label is not None for condition in asked)
-
-    def _sizes(self, program: Program) -> tuple[list[int], list[int]]:
-        """Return the approximate numbers of words of the conditions and of the leaves."""
-        conditions = [self._size(condition) + 3 for condition in program.conditions]
-        return conditions, [sum([self._size(move) + 3 for move in leaf.moves]) for leaf in program.leaves]
-
-    def _size(self, named: Condition | ObjectRef) -> int:
-        """Return the approximate number of words that name a thing, besides its article and verb."""
-        qualifier = named.qualifier
-        words = named.label.count(" ") + (0 if self._elided(named.room) else 3)
-        if qualifier is None:
-            return words
-        lying = 2 if self.words.lying and isinstance(named, ObjectRef) else 0
-        return words + lying + 2 + sum(label.count(" ") + 2 for label in qualifier.anchor_labels)
 
     def _filled_in(self, template: Template, program: Program) -> str:
         texts: list[str] = []
@@ -214,7 +140,7 @@ class Renderer:
     def _chance(self, share: float) -> bool:
         return self.draws.uniform() < share
 
-    def _scope(self, rooms: list[RoomRef]) -> str:
+    def _scope(self, rooms: Sequence[RoomRef]) -> str:
         """Return the words that place the whole text in one room, which then need not be named again; empty if there
         are several rooms or the room has no name.
         """
@@ -254,13 +180,14 @@ class Renderer:
         if form == "lacks":
             self._denied = slot.index
             # A long noun is not said twice: "if there isn't one".
-            if not condition.definite and condition.label in self._once and " " not in self._noun(condition).text:
+            once = not condition.definite and condition.label in self.naming.asked_once
+            if once and " " not in self._noun(condition).text:
                 self._asked_by_exists, self._asked_by_look = True, False
                 return self._filled("absent", condition)
             form = "no"
         if form == "yes" and self._is_doubtful(condition, slot.index):
             form = "again"
-        restatable = form == "yes" and self._joined_next and not self.short and self._has_article(condition)
+        restatable = form == "yes" and self._joined_next and not self.short and self.naming.has_article(condition)
         if restatable and self._chance(RESTATE_SHARE):
             # "If there's a lamp and also a bed, …": other words came after the question.
             said = self._again(condition, "")
@@ -286,10 +213,10 @@ class Renderer:
         # "If there's a bed in the bedroom and a bath in the bathroom, look at the lamp": in which room?
         is_second_room = joined and self._room_asked != condition.room.room_id
         self._room_asked = None if is_second_room else condition.room.room_id
-        if again and not self._is_shared(condition):
+        if again and not self.naming.is_shared(condition):
             # "But if there's no bowl, …" is enough where one bowl was asked about.
-            full = condition.qualifier is not None or condition.label in self._once
-            full = full and not (self._elided(condition.room) and condition.label not in self._noun_only)
+            full = condition.qualifier is not None or condition.label in self.naming.asked_once
+            full = full and not (self._elided(condition.room) and condition.label not in self.naming.asked_only)
             if full or form in ("again", "not_again"):
                 self._room_asked = None
                 kind = "_again" if slot.form == "again" else "" if asserted else "_not"
@@ -312,13 +239,7 @@ class Renderer:
         room then need not be named again.
         """
         beside = condition.definite and self._room_asked == condition.room.room_id
-        return beside and not self._is_shared(condition)
-
-    def _is_shared(self, named: Condition | ObjectRef) -> bool:
-        """Return whether the text also names objects with one of the labels of `named` in another room, so that the
-        room must be named.
-        """
-        return bool(self._shared) and not self._shared.isdisjoint(_labels(named))
+        return beside and not self.naming.is_shared(condition)
 
     def _answer(self, form: str, condition: Condition, index: int) -> str:
         """Return the short answer that stands for a condition, such as "there is" or "it isn't". An answer that repeats
@@ -437,7 +358,7 @@ class Renderer:
             return (
                 f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
             )
-        relation = "" if condition.label in self._noun_only else self._relation(condition)
+        relation = "" if condition.label in self.naming.asked_only else self._relation(condition)
         if not asserted and not relation:
             kind = "_again"
         there = self._there_is(condition, asserted=asserted, gapped=gapped, kind="" if kind == "_not" else kind)
@@ -489,7 +410,7 @@ class Renderer:
         """Record that the text has now named the objects of a phrase with their room, so that it can later name them
         without the room.
         """
-        if self._elided(named.room) or self._is_shared(named):
+        if self._elided(named.room) or self.naming.is_shared(named):
             return
         if isinstance(named, ObjectRef) or named.definite:
             self._room_of[named.label] = named.room.room_id
@@ -560,7 +481,7 @@ class Renderer:
         for k, (before, stop) in enumerate(pairwise(stops), start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
             # After a stop with an egocentric direction, or one that is known from before, no room was named.
-            same_room = stop.room.room_id == before.room.room_id == self.last_room and not self._is_shared(stop)
+            same_room = stop.room.room_id == before.room.room_id == self.last_room and not self.naming.is_shared(stop)
             texts.append(f"{self._phrase(joint)} {self._stop(stop, behind=True, same_room=same_room)}")
         return "".join(texts)
 
@@ -606,9 +527,9 @@ class Renderer:
         """Return whether a listener already knows the room of a stop, since the text has named the stop's object, or
         all its anchors, with the room.
         """
-        if self._is_shared(ref) or (not _labels(ref)[1:] and ref.label not in self._found):
+        if self.naming.is_shared(ref) or (not labels_of(ref)[1:] and ref.label not in self._found):
             return False
-        return all(self._room_of.get(label) == ref.room.room_id for label in _labels(ref)[1:] or _labels(ref))
+        return all(self._room_of.get(label) == ref.room.room_id for label in labels_of(ref)[1:] or labels_of(ref))
 
     def _where(self, room: RoomRef, kind: str = "", *, named: bool = False) -> str:
         """Return the room as a place ("in the bedroom"); with `kind` "_of" as the owner ("del dormitorio").
@@ -648,45 +569,6 @@ class Renderer:
         if is_known:
             return self.words.that(noun)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"
-
-
-def _labels(named: Condition | ObjectRef) -> tuple[str, ...]:
-    """Return the labels of an object and of its anchors."""
-    return (named.label, *(named.qualifier.anchor_labels if named.qualifier is not None else ()))
-
-
-def _shared(program: Program) -> set[str]:
-    """The labels that a text names in several rooms."""
-    room_of: dict[str, str] = {}
-    shared = set()
-    named_things: list[Condition | ObjectRef] = [*program.conditions]
-    named_things += [move for leaf in program.leaves for move in leaf.moves]
-    for named in named_things:
-        for label in _labels(named):
-            if room_of.setdefault(label, named.room.room_id) != named.room.room_id:
-                shared.add(label)
-    return shared
-
-
-def _is_long(template: Template, conditions: Sequence[int], leaves: Sequence[int]) -> bool:
-    """Return whether some part of a template would be longer than a sentence should be, for conditions and leaves of
-    these approximate numbers of words.
-    """
-    for words, slots in template.parts:
-        for is_leaf, index, fixed in slots:
-            words += fixed or (leaves if is_leaf else conditions)[index]
-        if words > LONGEST_SENTENCE:
-            return True
-    return False
-
-
-def _rooms(program: Program) -> list[RoomRef]:
-    """Return the rooms that a text names."""
-    rooms = {condition.room.room_id: condition.room for condition in program.conditions}
-    for leaf in program.leaves:
-        for move in leaf.moves:
-            rooms[move.room.room_id] = move.room
-    return list(rooms.values())
 
 
 @lru_cache

@@ -10,8 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -19,37 +18,24 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import orjson
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from condvln.formats.image_files import encoders, encoders_of, jpeg, png16
+from condvln.formats.image_files import encoders, jpeg, png16
 from condvln.navigation.follower import STOP, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
 from condvln.verify.exploration import Onlooker
 from condvln.verify.training_layouts import prove_layouts
-from schemas.config import CameraConfig, TrajectoryConfig
-from schemas.errors import FormatError, MissingFileError
+from condvln.verify.trajectory_files import MOST_PNG_LEVEL, read_annotations, read_record, read_table, walks_with_poses
+from schemas.config import CameraConfig
 from schemas.evaluation import ManifestEpisode
-from schemas.trajectory_tables import TRAJECTORY_TABLES
 
 __all__ = ["TrajectoryFault", "TrajectoryProof", "TrajectoryWorld", "prove_trajectories"]
 
 Row = Mapping[str, Any]
 F64 = NDArray[np.float64]
 
-_REMEDY: Final = "Run condvln trajectories again with this folder; it makes damaged images again."
 _CAMERA: Final = ("width", "height", "hfov", "eye_height", "look_down")
-_MOST_PNG_LEVEL: Final = 3
-"""Highest compression level of the encoder here. Records of Pillow's images may have a higher one, which leaves the
-pixels as they are.
-"""
-_PILLOWS_PNG_LEVEL: Final = 9
-"""Highest compression level of Pillow."""
-_CAMERA_NAME: Final = re.compile(r"(rgb|depth)(\.[A-Za-z0-9_.-]{1,60})?")
 _ANGLE: Final = 1e-9
 """Largest difference in a component of two equal rotations."""
 
@@ -107,13 +93,13 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     ------
     MissingFileError, FormatError : the folder holds no trajectories, or a table can't be read
     """
-    record = _record(folder)
+    record = read_record(folder)
     cameras = {name: CameraConfig(**camera) for name, camera in record["cameras"].items()}
     images = record["config"] | {"encoders": record["encoders"]}
     proof = TrajectoryProof(decoders=record["decoders"])
     written = record["images_written"]
-    entries = {str(entry.get("trajectory")): entry for entry in _annotations(folder)} if written else {}
-    walks = _table(folder, "trajectories").to_pylist()
+    entries = {str(entry.get("trajectory")): entry for entry in read_annotations(folder)} if written else {}
+    walks = read_table(folder, "trajectories").to_pylist()
     names = [walk["trajectory"] for walk in walks]
     if (written and sorted(entries) != sorted(names)) or len(set(names)) != len(names):
         proof.faults.append(TrajectoryFault("", "annotations.json and trajectories.parquet have different walks"))
@@ -124,7 +110,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
         faults = [*found.faults(owners)]
         proof.faults += [TrajectoryFault(walk["trajectory"], what) for what in faults]
     seen: set[str] = set()
-    for name, rows in _walks_of(folder / "poses.parquet"):
+    for name, rows in walks_with_poses(folder / "poses.parquet"):
         seen.add(name)
         walk = owners.get(name)
         if walk is None:
@@ -137,7 +123,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
         layouts = prove_layouts(folder, record, walks)
         proof.layout_rows = layouts.rows
         proof.faults += [TrajectoryFault(name, what) for name, what in layouts.faults]
-    left_out = _table(folder, "left_out").to_pylist()
+    left_out = read_table(folder, "left_out").to_pylist()
     proof.faults += [TrajectoryFault("", what) for what in _unaccounted(world.episodes, images, walks, left_out)]
     return proof
 
@@ -359,7 +345,7 @@ class _Frames:
         data = (
             jpeg(frame.rgb, self._images["jpeg_quality"])
             if suffix == "jpg"
-            else png16(frame.depth, min(self._images["png_level"], _MOST_PNG_LEVEL))
+            else png16(frame.depth, min(self._images["png_level"], MOST_PNG_LEVEL))
         )
         other = "the pose shows another image"
         if same_encoder and hashlib.sha256(data).hexdigest() != row["sha256"]:
@@ -422,126 +408,3 @@ def _goals(walk: Row) -> F64:
 
 def _heading(episode: ManifestEpisode) -> float:
     return 2.0 * math.atan2(episode.start_rotation[1], episode.start_rotation[3]) % (2.0 * math.pi)
-
-
-def _record(folder: Path) -> dict[str, Any]:
-    path = folder / "trajectories.json"
-    try:
-        found = orjson.loads(path.read_bytes())
-        return {
-            "cameras": {name: _camera(name, camera) for name, camera in dict(found["cameras"]).items()},
-            "config": _config(found["config"]),
-            "encoders": encoders_of(_texts(found, "libraries"), _texts(found, "encoders")),
-            "decoders": _texts(found, "decoders"),
-            "layouts": list(found["layouts"]),
-            "split": str(found["split"]),
-            "images_written": bool(found.get("images_written", True)),
-        }
-    except FileNotFoundError:
-        raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"not a record of trajectories ({_first(error)})", where=path, remedy=_REMEDY) from None
-
-
-def _first(error: Exception) -> str:
-    """Return what is wrong in one line: of a pydantic model, the first value that is wrong."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    fault = error.errors()[0]
-    return ": ".join(filter(None, [".".join(map(str, fault["loc"])), fault["msg"]]))
-
-
-def _camera(name: str, camera: Any) -> dict[str, Any]:
-    """Return a camera of a record with all its values.
-
-    Raises
-    ------
-    ValueError : its name or a value of it can't be that of a camera
-    """
-    if not _CAMERA_NAME.fullmatch(name):
-        raise ValueError(f"cameras: {name!r} is not a name of a camera")
-    try:
-        return CameraConfig.model_validate(camera).model_dump(mode="json")
-    except ValidationError as error:
-        raise ValueError(f"cameras.{name}: {_first(error)}") from None
-
-
-def _config(config: Any) -> dict[str, Any]:
-    """Return the configuration of a record with all its values. ``png_level`` may be one of Pillow's, which go further
-    than those of the encoder here.
-
-    Raises
-    ------
-    ValueError, TypeError : a value of it is not allowed
-    """
-    level = dict(config).get("png_level")
-    high = type(level) is int and _MOST_PNG_LEVEL < level <= _PILLOWS_PNG_LEVEL
-    try:
-        valid = TrajectoryConfig.model_validate(config | {"png_level": _MOST_PNG_LEVEL} if high else config)
-    except ValidationError as error:
-        raise ValueError(f"config.{_first(error)}") from None
-    return valid.model_dump(mode="json") | ({"png_level": level} if high else {})
-
-
-def _texts(record: Row, key: str) -> dict[str, str]:
-    """Return a mapping of texts of a record; it may be absent.
-
-    Raises
-    ------
-    TypeError : it is something else
-    """
-    found = record.get(key, {})
-    if not isinstance(found, dict) or not all(isinstance(text, str) for text in found.values()):
-        raise TypeError(f"{key}: not a mapping of names to texts")
-    return found
-
-
-def _annotations(folder: Path) -> list[dict[str, Any]]:
-    path = folder / "annotations.json"
-    try:
-        found = orjson.loads(path.read_bytes())
-        for entry in found:
-            if {"id", "video", "instructions", "actions", "kind"} - entry.keys():
-                raise TypeError("an entry lacks a key")
-    except FileNotFoundError:
-        raise MissingFileError("annotations.json is missing", where=folder, remedy=_REMEDY) from None
-    except (ValueError, TypeError, AttributeError) as error:
-        raise FormatError(f"not a list of walks ({error})", where=path, remedy=_REMEDY) from None
-    return list(found)
-
-
-def _table(folder: Path, name: str) -> pa.Table:
-    path = folder / f"{name}.parquet"
-    try:
-        found = pq.read_table(path)
-        _refuse_other_columns(found.schema, name)
-        return found
-    except FileNotFoundError:
-        raise MissingFileError(f"{name}.parquet is missing", where=folder, remedy=_REMEDY) from None
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise FormatError(f"not a table of walks ({error})", where=path, remedy=_REMEDY) from None
-
-
-def _refuse_other_columns(found: pa.Schema, name: str) -> None:
-    """Raise ValueError if a column of a table is missing, or of another type."""
-    for wanted in TRAJECTORY_TABLES[name]:
-        if wanted.name not in found.names:
-            raise ValueError(f"the column {wanted.name} is missing")
-        if found.field(wanted.name).type != wanted.type:
-            raise ValueError(f"the column {wanted.name} is {found.field(wanted.name).type}, not {wanted.type}")
-
-
-def _walks_of(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """Yield each walk with its poses. Only one row group, which is one scene, is in memory at a time."""
-    try:
-        with pq.ParquetFile(path) as file:
-            _refuse_other_columns(file.schema_arrow, "poses")
-            for group in range(file.num_row_groups):
-                rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
-                for row in file.read_row_group(group).to_pylist():
-                    rows[row["trajectory"]].append(row)
-                yield from rows.items()
-    except FileNotFoundError:
-        raise MissingFileError("poses.parquet is missing", where=path.parent, remedy=_REMEDY) from None
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise FormatError(f"not a table of walks ({error})", where=path, remedy=_REMEDY) from None

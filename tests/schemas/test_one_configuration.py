@@ -37,7 +37,8 @@ TECHNICAL = {
     "verify/episode_record.py": {"HEADING"},
     "verify/heading.py": {"UNIT"},
     # The highest level of the PNG encoder: folders of earlier encoders name higher ones.
-    "verify/trajectories.py": {"_ANGLE", "_MOST_PNG_LEVEL", "_PILLOWS_PNG_LEVEL"},
+    "verify/trajectories.py": {"_ANGLE"},
+    "verify/trajectory_files.py": {"MOST_PNG_LEVEL", "_PILLOWS_PNG_LEVEL"},
     "verify/ground_truth.py": {"ROUNDED", "SLACK"},
     "verify/footprints.py": {"TOUCHING"},
     "verify/placement.py": {"MILLIMETRE", "ROUNDING"},
