@@ -28,7 +28,8 @@ class Naming:
     def of(cls, program: Program) -> Naming:
         """Return what the text of a program names."""
         moves = [move for leaf in program.leaves for move in leaf.moves]
-        rooms = {named.room.room_id: named.room for named in (*program.conditions, *moves)}
+        named_things: list[Condition | ObjectRef] = [*program.conditions, *moves]
+        rooms = {named.room.room_id: named.room for named in named_things}
         asked = [condition.label for condition in program.conditions]
         once = frozenset([label for label in asked if asked.count(label) == 1])
         elsewhere: set[str] = set()
@@ -36,7 +37,7 @@ class Naming:
             elsewhere.update(labels_of(move))
         for condition in program.conditions:
             elsewhere.update(labels_of(condition)[1:])
-        shared = _shared([*program.conditions, *moves]) if len(rooms) > 1 else frozenset()
+        shared = _shared(named_things) if len(rooms) > 1 else frozenset()
         return cls(tuple(rooms.values()), shared, once, once - elsewhere)
 
     def is_shared(self, named: Condition | ObjectRef) -> bool:
