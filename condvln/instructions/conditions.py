@@ -26,6 +26,7 @@ from condvln.instructions.informative import informative_weights, statement_weig
 from condvln.instructions.predicates import ASKED, COMPASS
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
+from condvln.instructions.stagings import UNCHANGED
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
 from schemas.program import BEARINGS, Predicate
@@ -109,6 +110,8 @@ class ConditionPool:
         elsewhere: Iterable[str],
         vocabulary: Vocabulary,
         asked: Container[str] = ASKED,
+        *,
+        alone: bool = False,
     ) -> ConditionPool:
         """Return the statements about one room.
 
@@ -117,11 +120,13 @@ class ConditionPool:
         bits : which labels are plausible in this type of room, and how often its statements are true
         elsewhere : labels that may be claimed absent, because other rooms of the scene or other scenes have them
         asked : predicates that conditions may use
+        alone : weigh the statements for programs of one condition
         """
         if not referents.room.asked:
             return cls(None, {})
         presence = _presence(referents, bits, elsewhere, vocabulary) if referents.room.complete else None
-        return cls(presence, {**_relations(referents, bits, vocabulary, asked), **_bearings(referents, asked)})
+        relations = _relations(referents, bits, vocabulary, asked, alone=alone)
+        return cls(presence, {**relations, **_bearings(referents, asked)})
 
 
 def _presence(
@@ -150,14 +155,14 @@ def _presence(
 
 
 def _relations(
-    referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str]
+    referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str], *, alone: bool
 ) -> dict[Form, RelationPool]:
     pools: dict[Form, RelationPool] = {}
     uneven: list[StatementTruths] = []
     for truths in statement_truths(referents, vocabulary):
         if truths.predicate not in asked:
             continue
-        weights = _informative_tables(referents, truths, bits)
+        weights = _informative_tables(referents, truths, bits, alone=alone)
         if weights is None:
             weights = balanced_weights(truths.true, truths.false)
         if weights is not None:
@@ -249,7 +254,9 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, Relatio
     }
 
 
-def _informative_tables(referents: Referents, truths: StatementTruths, bits: PriorBits) -> dict[bool, F64] | None:
+def _informative_tables(
+    referents: Referents, truths: StatementTruths, bits: PriorBits, *, alone: bool
+) -> dict[bool, F64] | None:
     """Return the weights of all statements by truth, computed from counts in rooms of this type; None if the counts are
     too small.
     """
@@ -268,7 +275,8 @@ def _informative_tables(referents: Referents, truths: StatementTruths, bits: Pri
         ]
         if said:
             counts = np.array([bits.counts.get(statement, (0, 0)) for statement in said], dtype=np.float64)
-            even = np.array([bits.even.get(statement, 1.0) for statement in said])
+            factor = [bits.even.get(statement, UNCHANGED) for statement in said]
+            even = np.array([own.one if alone else own.several for own in factor])
             known |= bool((counts.sum(axis=1) >= evidence).any())
             weights = statement_weights(counts, evidence)[truth] * (even if truth else 1.0 / even)
             tables[truth][rows, columns] = factors[rows, int(truth)] * weights

@@ -25,7 +25,7 @@ import pyarrow.compute as pc
 from condvln.instructions.informative import LabelForm, label_weights
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
-from condvln.instructions.stagings import Statement, even_factors
+from condvln.instructions.stagings import ByConditions, Statement, even_factors
 from condvln.instructions.statements import anchor_key, statement_truths
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
@@ -81,7 +81,7 @@ class PriorBits:
     label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
         statements (``informative.label_weights``); of room types that are not `staged`
     even : by statement about a room type that is `staged`, the factor by which the weight of a true one is multiplied
-        and that of a false one divided (``stagings.even_factors``)
+        and that of a false one divided (``stagings.even_factors``), in programs of one condition and of several
     """
 
     plausible: Mapping[str, frozenset[str]]
@@ -89,7 +89,7 @@ class PriorBits:
     counts: Mapping[Statement, tuple[int, int]]
     staged: frozenset[str] = frozenset()
     label_weights: Mapping[LabelForm, tuple[float, float]] = field(default_factory=dict)
-    even: Mapping[Statement, float] = field(default_factory=dict)
+    even: Mapping[Statement, ByConditions] = field(default_factory=dict)
 
     def evidence(self, room_type: str) -> int:
         """Return the minimum number of rooms of type `room_type` in which a statement must be counted before its counts
@@ -105,7 +105,7 @@ class PriorBits:
             (*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())
         ]
         rates += [(*key, *(round(RATE_STEPS * f) for f in both)) for key, both in sorted(self.label_weights.items())]
-        rates += [(*key, factor) for key, factor in sorted(self.even.items())]
+        rates += [(*key, *factors) for key, factors in sorted(self.even.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
@@ -235,7 +235,7 @@ class LabelPriors:
         staged: frozenset[str],
         predicates: PredicateWeights,
         directions: str,
-    ) -> dict[Statement, float]:
+    ) -> dict[Statement, ByConditions]:
         """Return the factors of `statements`; see `PriorBits`. They come from all statements about all stagings of the
         scene's layout.
         """
@@ -246,7 +246,7 @@ class LabelPriors:
         )
         rows = self._counts.filter(pc.and_(read, pc.is_in(self._counts["predicate"], pa.array(asked, pa.string()))))
         weights = {group: getattr(predicates, group) for group in PREDICATE_GROUPS}
-        return {key: factor for key, factor in even_factors(rows, weights).items() if key in statements}
+        return {key: factors for key, factors in even_factors(rows, weights).items() if key in statements}
 
 
 def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:

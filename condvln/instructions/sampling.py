@@ -159,8 +159,9 @@ class ProgramSampler:
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), words)
-        pools = {name: (self.referents[name], self._pool(name, bits)) for name in self._names}
-        self.condition_sampler = ConditionSampler(pools, sampling, words, single_room=scene.single_room)
+        self.condition_sampler = self._condition_sampler(bits, alone=False)
+        # Statements about stagings have other weights in programs of one condition.
+        self._alone = self._condition_sampler(bits, alone=True) if bits.even else self.condition_sampler
         if not isinstance(stops, Stops):
             stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))
         self.stop_sampler = StopSampler(
@@ -174,13 +175,26 @@ class ProgramSampler:
         self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
         self._known_names: dict[tuple[str, str | None, str, bool], _Names] = {}
 
-    def _pool(self, room_id: str, bits: PriorBits) -> ConditionPool:
+    def _condition_sampler(self, bits: PriorBits, *, alone: bool) -> ConditionSampler:
+        """Return a sampler of conditions about the rooms that can be named.
+
+        alone : the conditions are for programs of one condition
+        """
+        pools = {name: (self.referents[name], self._pool(name, bits, alone=alone)) for name in self._names}
+        return ConditionSampler(pools, self.sampling, self.words, single_room=self.scene.single_room)
+
+    def _sampler_of(self, category: Category) -> ConditionSampler:
+        """Return the sampler of conditions for programs of a category."""
+        return self.condition_sampler if len(SHAPES[category].branches) > 1 else self._alone
+
+    def _pool(self, room_id: str, bits: PriorBits, *, alone: bool) -> ConditionPool:
         referents = self.referents[room_id]
         if self.scene.single_room:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
-        return ConditionPool.of(referents, bits, elsewhere, self.words, asked_in(self.scene.family) & self._sayable)
+        asked = asked_in(self.scene.family) & self._sayable
+        return ConditionPool.of(referents, bits, elsewhere, self.words, asked, alone=alone)
 
     @property
     def rejections(self) -> Counter[tuple[InstructionCell | None, str]]:
@@ -316,13 +330,13 @@ class ProgramSampler:
 
     def _count_clashes(self, rejected: Counter[str]) -> None:
         """Add the conditions of one draw that clashed with others to `rejected`."""
-        clashes = self.condition_sampler.clashes
-        if clashes:
-            rejected.update(clashes)
-            clashes.clear()
+        for sampler in (self.condition_sampler, self._alone):
+            if sampler.clashes:
+                rejected.update(sampler.clashes)
+                sampler.clashes.clear()
 
     def _group(self, program: Program, draws: Draws) -> Group:
-        group = counterfactual_group(program, self.condition_sampler, draws, self.words)
+        group = counterfactual_group(program, self._sampler_of(program.category), draws, self.words)
         if group is None:
             raise GivenUp("no_twin")
         return group
@@ -371,7 +385,7 @@ class ProgramSampler:
         leaves, bearings = self._leaves(stops, names, draws, start_room)
         truths = draws.choice(_leading_to(category, shape.gold))
         moves = [move for leaf in leaves for move in leaf]
-        conditions = self.condition_sampler.conditions(truths, moves, names, draws, start_room, bearings)
+        conditions = self._sampler_of(category).conditions(truths, moves, names, draws, start_room, bearings)
         goals = [leaf[-1].object_id for leaf in leaves]
         if len(set(goals)) < len(goals) and idle_conditions(category, goals):
             raise GivenUp("idle_condition")

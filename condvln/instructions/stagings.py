@@ -9,10 +9,10 @@ of one truth is a set part of what a fair coin would make it.
 Let d_k be the expected draws of a statement in staging k, counted negative if it is false there. Equal draws,
 Σ d_k = 0, are not fair: all stagings but one then tell the truth in the last, the opposite of their own excess. A
 guesser that bets on the truths of other stagings, or against them, gains or loses by
-Σ_{j≠k} d_j d_k = (Σ d_k)² − Σ d_k², which is 0 if |Σ d_k| = √Σ d_k². Part of that is aimed at: conditions that follow
-others in a program must fit these, so that their draws are not quite those that are computed here, and add an excess of
-their own. The excess goes to the truth that the statement has in more stagings, since the other sign would leave most
-draws to a few stagings.
+Σ_{j≠k} d_j d_k = (Σ d_k)² − Σ d_k², which is 0 if |Σ d_k| = √Σ d_k². Part of that is aimed at, since draws are not
+quite those that are computed here: some are rejected. In programs of several conditions the part is smaller: conditions
+must fit those before them, and so add an excess of their own. The excess goes to the truth that the statement has in
+more stagings, since the other sign would leave most draws to a few stagings.
 
 Method: iterative proportional fitting (Deming & Stephan 1940) with one factor a statement, by which the weights of its
 true occurrences are multiplied and those of its false ones divided.
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -32,7 +32,7 @@ from condvln.instructions.informative import statement_weights
 from condvln.instructions.predicates import GROUP_OF
 from schemas.config.constants import STAGINGS
 
-__all__ = ["Statement", "even_factors"]
+__all__ = ["UNCHANGED", "ByConditions", "Statement", "even_factors"]
 
 Statement = tuple[str, str, str, str, bool]
 """Room type, label, predicate, anchor label, whether the statement is definite. For presence, the predicate and the
@@ -42,10 +42,26 @@ anchor label are empty, and the last value is False.
 EVENING_ROUNDS: Final = 30
 """Iterations of proportional fitting."""
 
+
+class ByConditions(NamedTuple):
+    """A value for programs of one condition, and one for programs of several."""
+
+    one: float
+    several: float
+
+
 COIN_PART: Final = 0.35
 """Part of a fair coin's excess that is aimed at. In exports of ReplicaCAD, betting on the truths of other stagings was
 right 6 points below chance with part 0, and 7 points above it with part 1; betting against them, the other way round.
 """
+
+COIN_PART_ALONE: Final = 0.7
+"""The same in programs of one condition. With 0.35, betting against the truths of other stagings was right 3 points
+above chance; with 1, betting on them 5 points.
+"""
+
+UNCHANGED: Final = ByConditions(1.0, 1.0)
+"""The factors of a statement that is about no staging."""
 
 MOST_A_ROUND: Final = 5.0
 """Largest change of a factor in one round."""
@@ -64,8 +80,8 @@ _STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
 F64 = NDArray[np.float64]
 
 
-def even_factors(counts: pa.Table, group_weights: Mapping[str, float]) -> dict[Statement, float]:
-    """Return, by statement, the factor by which the weights of its true occurrences are multiplied, and those of its
+def even_factors(counts: pa.Table, group_weights: Mapping[str, float]) -> dict[Statement, ByConditions]:
+    """Return, by statement, the factors by which the weights of its true occurrences are multiplied, and those of its
     false ones divided.
 
     Parameters
@@ -77,9 +93,10 @@ def even_factors(counts: pa.Table, group_weights: Mapping[str, float]) -> dict[S
     if not counts.num_rows:
         return {}
     draws = _Draws(counts, group_weights)
-    factors = draws.factors()
-    steps = np.clip(np.rint(FACTOR_STEPS * np.log2(factors)), -FACTOR_STEPS * MOST_OCTAVES, FACTOR_STEPS * MOST_OCTAVES)
-    return dict(zip(draws.statements, np.exp2(steps / FACTOR_STEPS).tolist(), strict=True))
+    octaves = np.log2(np.stack([draws.factors(part) for part in (COIN_PART_ALONE, COIN_PART)], axis=1))
+    steps = np.clip(np.rint(FACTOR_STEPS * octaves), -FACTOR_STEPS * MOST_OCTAVES, FACTOR_STEPS * MOST_OCTAVES)
+    factors = np.exp2(steps / FACTOR_STEPS).tolist()
+    return {statement: ByConditions(*own) for statement, own in zip(draws.statements, factors, strict=True)}
 
 
 class _Draws:
@@ -120,10 +137,10 @@ class _Draws:
         weights = np.array([group_weights[GROUP_OF[p]] for p in predicates], np.float64)
         self._group_weights = _of_each(group, weights)
 
-    def factors(self) -> F64:
-        """Return one factor for each statement."""
+    def factors(self, part: float) -> F64:
+        """Return one factor for each statement, with which `part` of a fair coin's excess is left."""
         factors = np.ones(len(self.statements))
-        share = COIN_PART * self.usual * self._coin_share()
+        share = part * self.usual * self._coin_share()
         for _ in range(EVENING_ROUNDS):
             false, true = self._sums(
                 self._expected(self.weights * np.where(self.truth == 1, factors[self.own], 1.0 / factors[self.own]))

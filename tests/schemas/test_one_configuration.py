@@ -68,6 +68,7 @@ TECHNICAL = {
     "instructions/informative.py": {"EXACT", "PSEUDOCOUNT"},
     "instructions/stagings.py": {
         "COIN_PART",
+        "COIN_PART_ALONE",
         "EVENING_ROUNDS",
         "FACTOR_STEPS",
         "LEAST_SHARE",

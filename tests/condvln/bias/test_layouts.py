@@ -101,10 +101,6 @@ def test_few_stagings_are_enough_to_know_what_varies(rows_of) -> None:
 def test_counted_within_a_layout_nothing_is_foretold(scenes, priors: LabelPriors, rows_of) -> None:
     rows = sampled(scenes, priors, rows_of)
     report = judge(rows)
-    # A known fault: the part of a coin's excess that fits programs of all depths is too small for one condition, so
-    # that who bets against the other stagings gains there (decision 5).
-    leaning = {(found.guesser, found.category) for found in report.beaten}
-    assert leaning <= {("against statement in its layout", "simple")}, report.verdict()
-    assert all(found.accuracy < 0.7 for found in report.beaten), report.verdict()
+    assert report.passed, report.verdict()
     assert report.episodes == len(rows) == 2 * STAGINGS * 20 * len(CATEGORIES)
     assert {f.category for f in report.findings if f.guesser == "statement in its layout"} == {ALL, *CATEGORIES}

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from condvln.instructions.informative import informative_weights
 from condvln.instructions.predicates import GROUP_OF, PREDICATE_GROUPS
 from condvln.instructions.priors import PRIORS
-from condvln.instructions.stagings import COIN_PART, Statement, even_factors
+from condvln.instructions.stagings import COIN_PART, COIN_PART_ALONE, UNCHANGED, Statement, even_factors
 from schemas.config import PredicateWeights
 from schemas.config.constants import STAGINGS
 
@@ -95,18 +95,22 @@ def staged(seed: int, stagings: int = 20) -> list[Truths]:
     ]
 
 
+@pytest.mark.parametrize(("number", "part"), [("one", COIN_PART_ALONE), ("several", COIN_PART)])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_excess_is_a_part_of_a_coin_s_and_of_the_truth_in_more_stagings(seed: int) -> None:
+def test_the_excess_is_a_part_of_a_coin_s_and_of_the_truth_in_more_stagings(
+    seed: int, number: str, part: float
+) -> None:
     stagings = staged(seed)
     unfitted = expected(stagings, {})
-    drawn = expected(stagings, even_factors(table_of(stagings), WEIGHTS))
+    factors = even_factors(table_of(stagings), WEIGHTS)
+    drawn = expected(stagings, {statement: getattr(own, number) for statement, own in factors.items()})
     said = {statement: [truths[statement] for truths in stagings if statement in truths] for statement in drawn}
     clear = [s for s, truths in said.items() if 2 * sum(truths) != len(truths) and any(drawn[s])]
     assert len(clear) > 30
     off = {}
     for s in clear:
         usual = 1 if 2 * sum(said[s]) > len(said[s]) else -1
-        off[s] = abs(share(drawn[s]) - usual * COIN_PART * coin_share(unfitted[s]))
+        off[s] = abs(share(drawn[s]) - usual * part * coin_share(unfitted[s]))
     draws = {s: sum(map(abs, drawn[s])) for s in clear}
     assert sum(off[s] * draws[s] for s in clear) < 0.08 * sum(draws.values())
 
@@ -128,8 +132,9 @@ def test_a_statement_that_is_false_where_little_else_is() -> None:
     unfitted = expected(stagings, {})[a]
     assert share(unfitted) < -0.05
     factors = even_factors(table_of(stagings), WEIGHTS)
-    assert factors[a] > 1.25
-    assert 0.0 < share(expected(stagings, factors)[a]) < coin_share(unfitted)
+    assert factors[a].one > factors[a].several > 1.25
+    excess = [share(expected(stagings, {s: own[k] for s, own in factors.items()})[a]) for k in range(2)]
+    assert 0.0 < excess[1] < excess[0] < coin_share(unfitted)
 
 
 @given(st.integers(0, 10_000), st.integers(1, 6))
@@ -138,7 +143,7 @@ def test_factors_are_the_same_in_any_order_and_finite(seed: int, count: int) -> 
     table = table_of(stagings)
     factors = even_factors(table, WEIGHTS)
     assert set(factors) == {statement for truths in stagings for statement in truths}
-    assert all(2.0**-10 <= factor <= 2.0**10 for factor in factors.values())
+    assert all(2.0**-10 <= factor <= 2.0**10 for own in factors.values() for factor in own)
     order = random.Random(seed).sample(range(table.num_rows), table.num_rows)
     assert even_factors(table.take(order), WEIGHTS) == factors
 
@@ -146,6 +151,6 @@ def test_factors_are_the_same_in_any_order_and_finite(seed: int, count: int) -> 
 def test_groups_of_weight_0_keep_their_weights() -> None:
     stagings = staged(1)
     factors = even_factors(table_of(stagings), {**WEIGHTS, "near": 0.0})
-    assert {factor for statement, factor in factors.items() if statement[2] == "near"} == {1.0}
+    assert {factor for statement, factor in factors.items() if statement[2] == "near"} == {UNCHANGED}
     assert len({factor for statement, factor in factors.items() if statement[2] != "near"}) > 5
     assert even_factors(table_of([]), WEIGHTS) == {}
