@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
-from condvln.navigation.sight import SightTarget, View, visible_points
+from condvln.navigation.sight import SightTarget, View, in_view, visible_points
 from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
@@ -24,6 +25,12 @@ _STRUCTURE_KIND: Final = "structure"
 
 FIRST_LOOKS: Final = 8
 """Stride of the sample points that are tested first, before all of them."""
+
+LOOK_TURNS: Final = 8
+"""Number of turns in which the lines between eyes and sample points are tested where single lines do not matter."""
+
+LOOKS_AT_ONCE: Final = 1 << 18
+"""Number of such lines at once: tens of megabytes of temporaries."""
 
 
 class SceneView:
@@ -110,6 +117,38 @@ class SceneView:
         any direction.
         """
         return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
+
+    def sighted(self, eyes: F64, targets: Sequence[SightTarget], view: View) -> Iterator[tuple[Bools, Bools]]:
+        """Yield for each of the `targets` two masks: which of the `eyes` (n, 3) see any of its k samples (n,), and
+        which of these samples are visible from any of the eyes (k,).
+
+        Lines are tested in turns, evenly spread over eyes and samples; a line is left out if something is already seen
+        from its eye, and its sample from another eye. The masks are those of `seen`, which tests all lines.
+        """
+        most = max(1, LOOKS_AT_ONCE // max(1, len(eyes)))
+        begin = end = count = 0
+        while begin < len(targets):
+            while end < len(targets) and (end == begin or count + len(targets[end].samples) <= most):
+                count += len(targets[end].samples)
+                end += 1
+            yield from self._sighted(eyes, targets[begin:end], view)
+            begin, count = end, 0
+
+    def _sighted(self, eyes: F64, targets: Sequence[SightTarget], view: View) -> Iterator[tuple[Bools, Bools]]:
+        sizes = [len(target.samples) for target in targets]
+        points = np.concatenate([target.samples for target in targets])
+        own = np.concatenate([target.owners for target in targets])
+        target_of = np.repeat(np.arange(len(targets)), sizes)
+        left = in_view(eyes, points, view)
+        turns = (np.arange(len(eyes))[:, None] + np.arange(len(points))) % LOOK_TURNS
+        by_eye, by_point = np.zeros((len(eyes), len(targets)), bool), np.zeros(len(points), bool)
+        for turn in range(LOOK_TURNS):
+            eye, point = np.nonzero(left & (turns == turn))
+            clear = ~self._occluders.hidden(eyes[eye], points[point], own[point])
+            by_eye[eye[clear], target_of[point[clear]]] = True
+            by_point[point[clear]] = True
+            left &= ~(by_point & by_eye[:, target_of])
+        yield from zip(by_eye.T, np.split(by_point, np.cumsum(sizes)[:-1]), strict=True)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
         """Return a mask (n,) of the `eyes` (n, 3) from which any sample point of an object is visible.

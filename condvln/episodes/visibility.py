@@ -20,7 +20,7 @@ from condvln.episodes.footprint import Footprint
 from condvln.episodes.view import SceneView
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.navigation.sight import SightTarget, View, eyes_at
+from condvln.navigation.sight import View, eyes_at
 from condvln.scene import Scene, SceneObject
 from condvln.scene.sightings import Sightings
 from schemas.config.constants import SEEABLE_PLACES, SEEABLE_SHARE
@@ -29,6 +29,7 @@ from schemas.tables import VISIBILITY
 __all__ = ["Visibility", "scene_visibility", "sightings_from_table", "visibility_table"]
 
 F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 FIRST_PLACES: Final = 32
 """Number of positions from which every object is looked for; the others are used only if these do not suffice."""
@@ -74,12 +75,21 @@ def scene_visibility(
     eye_height : metres above the floor
     obstacles : furniture that the navmesh ignores; no agent stands in it
     """
-    eyes = {
-        room.room_id: eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
-        for room in scene.rooms
-    }
-    nowhere = np.empty((0, 3))
-    return [_visibility(item, eyes.get(item.room_id, nowhere), view) for item in _things(scene, words)]
+    things = _things(scene, words)
+    found: dict[str, Visibility] = {}
+    for room in scene.rooms:
+        eyes = eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
+        few = eyes[np.unique(np.linspace(0, len(eyes) - 1, min(FIRST_PLACES, len(eyes))).round().astype(int))]
+        open_ones = [item for item in things if item.room_id == room.room_id and not item.hidden]
+        targets = [view.target(item.object_id) for item in open_ones]
+        for item, sights in zip(open_ones, view.sighted(few, targets, _ANY_DISTANCE), strict=True):
+            one = _visibility(item, few, *sights)
+            if not one.seeable and len(eyes):
+                target = view.denser_target(item.object_id, CLOSE_SAMPLES)
+                (sights,) = view.sighted(eyes, [target], _ANY_DISTANCE)
+                one = _visibility(item, eyes, *sights)
+            found[item.object_id] = one
+    return [found.get(item.object_id) or _from_nowhere(item) for item in things]
 
 
 def _things(scene: Scene, words: Vocabulary) -> list[SceneObject]:
@@ -88,29 +98,25 @@ def _things(scene: Scene, words: Vocabulary) -> list[SceneObject]:
     return sorted(found, key=lambda item: item.object_id)
 
 
-def _visibility(item: SceneObject, eyes: F64, view: SceneView) -> Visibility:
-    if item.hidden:
-        eyes = eyes[:0]
-    few = eyes[np.unique(np.linspace(0, len(eyes) - 1, min(FIRST_PLACES, len(eyes))).round().astype(int))]
-    found = _looked_for(item, few, view, view.target(item.object_id))
-    if not found.seeable and len(eyes):
-        found = _looked_for(item, eyes, view, view.denser_target(item.object_id, CLOSE_SAMPLES))
-    return found
+def _from_nowhere(item: SceneObject) -> Visibility:
+    """Return the visibility of an object that nothing can be seen of, or whose room is unknown."""
+    return _visibility(item, np.empty((0, 3)), np.zeros(0, bool), np.zeros(1, bool))
 
 
-def _looked_for(item: SceneObject, eyes: F64, view: SceneView, target: SightTarget) -> Visibility:
-    seen = view.seen(eyes, target, _ANY_DISTANCE)
-    points, hits = seen.any(axis=0), seen.sum(axis=1)
-    seeing = eyes[hits > 0]
+def _visibility(item: SceneObject, eyes: F64, from_eye: Bools, seen: Bools) -> Visibility:
+    """Return the visibility of an object. `from_eye` (n,) says which of the `eyes` (n, 3) see something of it, and
+    `seen` (k,) which of its sample points are visible at all.
+    """
+    seeing = eyes[from_eye]
     away = np.linalg.norm((seeing - item.center)[:, [0, 2]], axis=1)
     return Visibility(
         object_id=item.object_id,
         places=len(eyes),
         from_places=len(seeing),
-        share=round(float(points.mean()), 3),
+        share=round(float(seen.mean()), 3),
         nearest_view=round(float(away.min()), 3) if len(away) else None,
-        seeable=bool(points.mean() >= SEEABLE_SHARE and len(seeing) >= min(SEEABLE_PLACES, len(eyes))),
-        unseen=not points.any(),
+        seeable=bool(seen.mean() >= SEEABLE_SHARE and len(seeing) >= min(SEEABLE_PLACES, len(eyes))),
+        unseen=not seen.any(),
     )
 
 

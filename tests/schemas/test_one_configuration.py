@@ -54,7 +54,7 @@ TECHNICAL = {
     # Order of work and memory; the result is the same whatever they are.
     "instructions/priors.py": {"MERGE_ROWS"},
     "instructions/stop_sampler.py": {"ANSWERS_KEPT"},
-    "episodes/view.py": {"FIRST_LOOKS"},
+    "episodes/view.py": {"FIRST_LOOKS", "LOOK_TURNS", "LOOKS_AT_ONCE"},
     "episodes/visibility.py": {"FIRST_PLACES", "CLOSE_SAMPLES"},
     # Formats of ids.
     "instructions/programs.py": {"ID_LENGTH"},

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import condvln.episodes.view as view_module
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import Visibility, scene_visibility, sightings_from_table, visibility_table
 from condvln.navigation.sight import View
@@ -37,6 +38,30 @@ def shut_in(lid: float) -> tuple[Scene, SceneView]:
     parts = [(STRUCTURE, box_triangles(*wall)) for wall in walls]
     parts += [(k, box_triangles(*item.aabb)) for k, item in enumerate(scene.objects)]
     return scene, SceneView(scene, surfaces_of(parts))
+
+
+@pytest.mark.parametrize("lid", [0.0, 0.98])
+@pytest.mark.parametrize("at_once", [1, 700, 1 << 18])
+def test_lines_tested_in_turns_tell_what_all_lines_tell(
+    lid: float, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From places around the case, on its lid, in it and far away; of targets of different sizes, one after the other
+    or together.
+    """
+    monkeypatch.setattr(view_module, "LOOKS_AT_ONCE", at_once)
+    _, view = shut_in(lid)
+    rng = np.random.default_rng(3)
+    eyes = np.concatenate([rng.uniform([0, 0.2, 0], [6, 1.8, 6], (40, 3)), [[3.0, 0.7, 3.0], [np.nan, 1.0, 1.0]]])
+    targets = [view.target("vase"), view.denser_target("lamp", 100), view.target("lamp")]
+    for reach in (View(range=np.inf), View(range=2.0)):
+        for few in (eyes, eyes[:1], eyes[:0]):
+            found = list(view.sighted(few, targets, reach))
+            assert len(found) == len(targets)
+            for target, (from_eye, samples) in zip(targets, found, strict=True):
+                lines = view.seen(few, target, reach)
+                assert np.array_equal(from_eye, lines.any(axis=1))
+                assert np.array_equal(samples, lines.any(axis=0))
+    assert view.seen(eyes, targets[0], View(range=2.0)).any()
 
 
 def test_a_lid_hides_what_an_open_case_shows() -> None:
