@@ -177,7 +177,7 @@ class _Run:
         clear_parts(self.folder, WRITTEN)
         pipeline = self._pipeline(state)
         forget_damaged(store, self.folder, state)
-        warm_up(CompilationNote(self.console), only={"paths", "follower", "cameras", "depth images"})
+        warm_up(CompilationNote(self.console), only={"paths", "follower", "cameras", "depth images", "pixel goals"})
         ray = self.work.target.config.ray
         if self.request.workers is not None:
             ray = ray.model_copy(update={"workers": self.request.workers})
@@ -206,7 +206,7 @@ class _Run:
             report.lines += note_lines(counts["notes"])
             report.lines.append(
                 f"{counts['trajectories']:,} walks of {counts['episodes']:,} episodes, {counts['images']:,} images, "
-                f"{counts['bytes'] / 1e9:.2f} GB in {self.folder}"
+                f"{counts['stored_bytes'] / 1e9:.2f} GB in {self.folder}"
             )
             if counts["left_out"]:
                 report.lines.append(f"{counts['left_out']:,} walks left out: see left_out.parquet")
@@ -227,7 +227,15 @@ class _Run:
 
     def _assemble(self, snapshot: Snapshot, pipeline: Pipeline, report: Report) -> dict[str, Any]:
         """Write the tables and layouts from the snapshot and, last, the record of the run; return the counts."""
-        counts = {"trajectories": 0, "episodes": 0, "frames": 0, "images": 0, "bytes": 0, "left_out": 0}
+        counts = {
+            "trajectories": 0,
+            "episodes": 0,
+            "frames": 0,
+            "images": 0,
+            "bytes": 0,
+            "stored_bytes": 0,
+            "left_out": 0,
+        }
         kinds: dict[str, int] = {}
         kept: set[str] = set()
         work = self.work
@@ -313,6 +321,9 @@ class _Run:
             counts["frames"] += sum(row["n_frames"] for row in rows if row["frames_of"] == row["trajectory"])
             counts["images"] += poses.num_rows
             counts["bytes"] += sum(poses["bytes"].to_pylist())
+            # Equal images are hard links to one file.
+            stored = poses.group_by("sha256").aggregate([("bytes", "min")])
+            counts["stored_bytes"] += sum(stored["bytes_min"].to_pylist())
             counts["left_out"] += scene.tables["left_out"].num_rows
             for row in rows:
                 kinds[row["kind"]] = kinds.get(row["kind"], 0) + 1

@@ -367,7 +367,7 @@ def estimate(
         assert isinstance(expected, dict)
         frames += Frames(**{name: float(str(count)) for name, count in expected.items()})
     size = sum(_image_bytes(name, camera) for name, camera in cameras.items())
-    written = frames.own * size
+    written = frames.rendered * size  # the other images of a pose are hard links to the first one
     if "lerobot" in layouts:
         written += frames.told * size
     if "uninavid" in layouts:

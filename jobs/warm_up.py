@@ -19,6 +19,7 @@ KERNEL_MODULES: Final = {
     "paths": "condvln.navigation.pathfinder",
     "cameras": "condvln.sensors.renderer",
     "depth images": "condvln.formats.depth_rows",
+    "pixel goals": "condvln.trajectories.pixel_goals",
     "alignment": "condvln.evaluation.kernels.alignment",
     "an agent's map": "condvln.evaluation.kernels.floor_grid",
     "line of sight among boxes": "condvln.navigation.occluders",

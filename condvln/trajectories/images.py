@@ -8,8 +8,7 @@ import re
 import shutil
 from bisect import bisect_right
 from collections.abc import Container, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from itertools import pairwise
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -67,6 +66,10 @@ class ImageWriter:
     ----------
     folder : the folder of the trajectories
     keep : write the images; otherwise they are only rendered and hashed
+
+    Attributes
+    ----------
+    size : bytes of the distinct images so far
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class ImageWriter:
     ) -> None:
         self._folder, self._renderer, self._cameras, self._config = folder, renderer, dict(cameras), config
         self._keep = keep
+        self.size = 0
         self._views: dict[CameraConfig, list[str]] = {}
         for name, camera in self._cameras.items():
             self._views.setdefault(camera, []).append(name)
@@ -82,7 +86,8 @@ class ImageWriter:
         """Write the images of all walks of a scene; return the rows of ``poses``.
 
         Walks of one scene share many poses: variants of an instruction have one start, and a recovery walk follows the
-        gold one until its mistake. Each pose is rendered, encoded and hashed once.
+        gold one until its mistake. Each pose is rendered, encoded, hashed and written once; equal images are hard links
+        to the first file.
 
         Raises
         ------
@@ -119,23 +124,23 @@ class ImageWriter:
         places, headings = _columns(steps["position"]), np.asarray(steps["heading"])
         right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
         walks = steps["trajectory"].to_pylist()
-        ends = {
-            row: start + mistake_after(right[start:end], row - start)
-            for start, end in pairwise(starts)
-            for row in range(start, end)
-        }
+        files: dict[str, str] = {}  # the first file of each hash
         for rows in _of_one_pose(places, headings):
             place, heading = places[rows[0]], float(headings[rows[0]])
+            of = [bisect_right(starts, row) - 1 for row in rows]
             for number, (camera, data, seen) in enumerate(self.draw(place, heading)):
                 hashed = hashlib.sha256(data).hexdigest()
-                for row in rows:
-                    walk = bisect_right(starts, row) - 1
-                    path = image_path(walks[row], camera, row - starts[walk])
+                for row, walk in zip(rows, of, strict=True):
+                    start = starts[walk]
+                    path = image_path(walks[row], camera, row - start)
+                    file = f"{parts[walk]}/{camera}/{path.rpartition('/')[2]}"
+                    first = files.setdefault(hashed, file)
+                    self.size += len(data) if first is file else 0
                     if self._keep:
-                        _write(f"{parts[walk]}/{camera}/{path.rpartition('/')[2]}", data)
+                        _put(file, data, first)
                     goal = None
                     if seen is not None:
-                        ahead = places[row + 1 : ends[row]]
+                        ahead = places[row + 1 : start + mistake_after(right[start : starts[walk + 1]], row - start)]
                         goal = pixel_goal(self._cameras[camera], place, heading, ahead, seen, self._config.goal_slack)
                     at = row * len(names) + number
                     found["camera"][at] = camera
@@ -200,6 +205,17 @@ def _write(path: str, data: bytes) -> None:
             left = left[os.write(file, left) :]
     finally:
         os.close(file)
+
+
+def _put(path: str, data: bytes, first: str) -> None:
+    """Write a file, or make it a hard link to the file `first` that holds the same data. Where the file system has no
+    links, or no more for this file, all files are written.
+    """
+    if first != path:
+        with suppress(OSError):
+            os.link(first, path)
+            return
+    _write(path, data)
 
 
 def _replace(part: Path, target: Path) -> None:

@@ -157,7 +157,7 @@ class FrameStage(Stage):
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     keep: bool = True
     name: str = "frames"
-    version: int = 4
+    version: int = 5
     tables: tuple[str, ...] = ("poses",)
     reads: tuple[str, ...] | None = ("steps",)
     reads_inputs: bool = True
@@ -179,11 +179,10 @@ class FrameStage(Stage):
         notes = [note for note in renderer.notes if note != OWNERS_BY_BOX]
         writer = ImageWriter(self.folder, renderer, self.cameras, self.config, keep=self.keep)
         poses = writer.write(steps)
-        size = sum(poses["bytes"].to_pylist())
         return StageOutput(
             tables={"poses": poses},
             files={STAMP: stamp, NOTES: orjson.dumps(notes)},
-            measures={"images": float(poses.num_rows), "image_bytes": float(size)},
+            measures={"images": float(poses.num_rows), "image_bytes": float(writer.size)},
         )
 
     def _stamped(self, unit: Unit, steps: pa.Table) -> bytes:

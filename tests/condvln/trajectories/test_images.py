@@ -1,7 +1,9 @@
-"""Images of a scene's walks: a pose that several walks share is rendered once, with the same files."""
+"""Images of a scene's walks: a pose that several walks share is rendered and written once, with the same files."""
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -65,3 +67,16 @@ def test_a_pose_of_several_walks_is_rendered_once(tmp_path: Path, monkeypatch: p
     assert rendered == 7 * views
     assert len(seen) == len(set(seen)) == 4 * views
     assert len(alone[0]) == 7 * len(cameras)
+    assert inodes(tmp_path / "together") == 4 * len(cameras)
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EMLINK, "too many links")
+
+    monkeypatch.setattr(os, "link", refused)
+    assert written("copied", [[row for one in walks for row in one]]) == alone
+    assert inodes(tmp_path / "copied") == 7 * len(cameras)
+
+
+def inodes(folder: Path) -> int:
+    """Number of files below the folder; hard links to one file count once."""
+    return len({path.stat().st_ino for path in folder.rglob("*") if path.is_file()})

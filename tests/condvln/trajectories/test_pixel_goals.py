@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from condvln.sensors.camera import camera_pose
@@ -74,3 +74,30 @@ def test_the_matrix_has_the_camera_s_pose(x: float, z: float, heading: float, pi
     np.testing.assert_allclose(matrix @ [1, 0, 0, 0], [*axes[:, 0], 0], atol=1e-12)  # right
     np.testing.assert_allclose(matrix @ [0, 1, 0, 0], [*-axes[:, 1], 0], atol=1e-12)  # down
     assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1.0)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 2 * math.pi), st.floats(-60, 60), st.floats(0, 0.5))
+def test_the_goal_is_the_last_place_that_any_pixel_shows(seed: int, heading: float, pitch: float, slack: float) -> None:
+    """Against a plain search over all places, with coordinates from the inverse of the camera's matrix."""
+    draw = np.random.default_rng(seed)
+    camera = CAMERA.model_copy(update={"look_down": pitch, "width": 64, "height": 48})
+    place = draw.normal(size=3)
+    ahead = place + np.cumsum(draw.normal(size=(12, 3)) * draw.integers(0, 2, (12, 1)), axis=0)
+    depth = draw.uniform(-1, 6, (48, 64)).clip(0).astype(np.float32)
+    focal = 32 / math.tan(math.radians(39.5))
+    inside = np.linalg.inv(camera_to_world(camera, place, heading))
+    expected, doubtful = None, False
+    for k, point in enumerate(ahead):
+        x, y, z, _ = inside @ [*point, 1]
+        if (point == place).all() or z <= 0:
+            continue
+        column, row = 32 + focal * x / z, 24 + focal * y / z
+        doubtful |= min(abs(column - round(column)), abs(row - round(row)), abs(z)) < 1e-9
+        if 0 <= column < 64 and 0 <= row < 48:
+            there = depth[int(row), int(column)]
+            doubtful |= abs(there - (1 - slack) * z) < 1e-9
+            if there > 0 and there >= (1 - slack) * z:
+                first = next(j for j in range(k + 1) if (ahead[j : k + 1] == point).all())
+                expected = (int(column), int(row), first + 1)
+    assume(not doubtful)
+    assert pixel_goal(camera, place, heading, ahead, depth, slack) == expected
