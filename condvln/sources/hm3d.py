@@ -31,6 +31,7 @@ from condvln.scene.boxes import placement
 from condvln.scene.frames import Z_UP_TO_HABITAT
 from condvln.scene.geometry import SceneGeometry
 from condvln.scene.limits import check_limits
+from condvln.sources.family import FAMILIES
 from condvln.sources.input_ledger import InputLedger
 from condvln.sources.mesh_geometry import scan_geometry
 from condvln.sources.painted_mesh import Paint, read_paint
@@ -48,6 +49,8 @@ MAX_LIST_BYTES: Final = 64 << 20
 MAX_VOTES_BYTES: Final = 64 << 20
 LISTS: Final = ("*/*/*.semantic.txt", "*/*.semantic.txt")
 """Paths of the lists: ``<split>/<number>-<scan>/<scan>.semantic.txt``, or the folders of one split alone."""
+FOLDERS: Final = {"train": "train", "val_unseen": "val", "test": "test"}
+"""Folder in the release of the scans of each group of splits."""
 REPEATED: Final = ("example", "minival")
 """Folders whose scans are also in others."""
 VOTES: Final = "Per_Scene_Region_Weighted_Votes.csv"
@@ -87,7 +90,8 @@ class _Instance:
 
 
 class Hm3dSource(SceneSource):
-    """The annotated scans of HM3D, by the names of their folders: ``00800-TEEsavR23oF``, below that of the split.
+    """The annotated scans of HM3D, by their folders in the release: ``val/00800-TEEsavR23oF``, also where the dataset's
+    folder is that of one split.
 
     The box of an instance is that of its largest connected piece of paint; a smaller piece elsewhere is named by a
     warning. Parts of the building have no box. An instance without paint is left out, and its region does not count as
@@ -177,7 +181,7 @@ class Hm3dSource(SceneSource):
             folder = posixpath.dirname(path)
             name = posixpath.basename(folder)
             if name.partition("-")[2] == _scan(path) and name not in map(posixpath.basename, found):
-                found[folder] = path
+                found[folder if folder != name else _in_release(name)] = path
         return dict(sorted(found.items()))
 
     def _painted(self, path: str) -> str:
@@ -236,6 +240,14 @@ class Hm3dSource(SceneSource):
             if room is not None:
                 rooms.append(room)
         return levelled(tuple(rooms))
+
+
+def _in_release(name: str) -> str:
+    """Return the folder of a scan below that of its split, where its number tells the split. Agents look for the scan's
+    mesh there.
+    """
+    group = FAMILIES["hm3d"].official_split(name)
+    return name if group is None else f"{FOLDERS[group]}/{name}"
 
 
 def _scan(path: str) -> str:

@@ -19,6 +19,7 @@ import yaml
 from condvln.evaluation.split import split_tasks
 from condvln.export.splits import SPLITS, scene_group
 from condvln.samples import make_samples
+from condvln.sources.registry import open_source
 from condvln.sources.scene_choice import SceneChoice
 from jobs.benchmark import RECORD, Benchmark, build_benchmark, check_benchmark, read_record
 from jobs.benchmark_tables import part_lines
@@ -359,6 +360,19 @@ def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_spli
                 taken[file, scene_group("procthor", name, benchmark.config.splits)] += 1
     assert taken == {("train", "train"): 100, ("val", "val_unseen"): 30, ("test", "test"): 30}
     assert sum(taken.values()) == benchmark.file.scenes["procthor"]
+
+
+def test_whole_copies_are_counted_with_the_scenes_that_are_skipped(
+    pytestconfig: pytest.Config, real_data: Path
+) -> None:
+    """A report counts every scene that is listed. ReplicaCAD's empty stage once hid that another scene was missing."""
+    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
+    names = {f"apt_{k}" for k in range(6)} | {"empty_stage"}
+    names |= {f"v3_sc{layout}_staging_{k:02d}" for layout in range(4) for k in range(21)}
+    listed = set(open_source("replicacad", real_data / "replicacad").scene_ids())
+    assert listed <= names
+    assert "empty_stage" in listed
+    assert benchmark.file.scenes["replicacad"] == len(names)
 
 
 @pytest.mark.ray

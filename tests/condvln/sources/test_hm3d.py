@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapely
 
+from condvln.export.vlnce import scene_file
 from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.sources.painted_mesh import CELL, FINE
@@ -220,7 +221,29 @@ def test_of_a_scan_in_two_folders_that_of_its_split_counts(tmp_path: Path) -> No
     assert open_source("hm3d", tmp_path).scene_ids() == [f"minival/{SCAN}"]
     write(tmp_path, LINES, parts("plain"), split="val")
     assert open_source("hm3d", tmp_path).scene_ids() == [f"val/{SCAN}"]
-    assert open_source("hm3d", tmp_path / "val").scene_ids() == [SCAN]
+
+
+@pytest.mark.parametrize(
+    ("number", "folder"),
+    [("00000", "train"), ("00799", "train"), ("00800", "val"), ("00899", "val"), ("00900", "test")],
+)
+def test_the_folder_of_one_split_gives_the_same_scenes_as_that_of_all(tmp_path: Path, number: str, folder: str) -> None:
+    """Also the path at which agents look for the mesh, which once lacked the split."""
+    own = write(tmp_path, LINES, parts("plain"), split=folder)
+    own.rename(own.parent / f"{number}-{NAME}")
+    whole, part = open_source("hm3d", tmp_path), open_source("hm3d", tmp_path / folder)
+    assert part.scene_ids() == whole.scene_ids() == [f"{folder}/{number}-{NAME}"]
+    (scene_id,) = part.scene_ids()
+    assert scene_file("hm3d", scene_id) == f"hm3d/{folder}/{number}-{NAME}/{NAME}.basis.glb"
+    found, other = part.read(scene_id), whole.read(scene_id)
+    assert repr((found.rooms, found.objects)) == repr((other.rooms, other.objects))
+    assert part.geometry(found) is not None
+
+
+def test_a_scan_whose_number_tells_no_split_keeps_its_folder(tmp_path: Path) -> None:
+    own = write(tmp_path, LINES, parts("plain"))
+    own.rename(own.parent / f"a-{NAME}")
+    assert open_source("hm3d", tmp_path / "val").scene_ids() == [f"a-{NAME}"]
 
 
 def test_the_painted_mesh_is_the_stage_where_there_is_no_other(tmp_path: Path) -> None:
