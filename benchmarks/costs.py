@@ -39,7 +39,7 @@ from schemas.program import CATEGORIES
 
 __all__ = ["FirstRun", "first_run", "real_families"]
 
-ASKED = (4, 12)
+ASKED = (4, 12, 24)
 """Episodes per category for which the coefficients are fitted."""
 
 
@@ -59,6 +59,15 @@ class FirstRun:
     seconds: float = 0.0
     expected: dict[str, float] = field(default_factory=dict)
     stages: dict[str, list[tuple[str, float]]] = field(default_factory=lambda: defaultdict(list))
+
+    def spent(self, *stages: str) -> float:
+        """Return the CPU seconds that stages took."""
+        return sum(seconds for stage in stages for _, seconds in self.stages[stage])
+
+    def ratio(self, *stages: str) -> float:
+        """Return the estimate of stages over the CPU seconds that they took; NaN where they took none."""
+        spent = self.spent(*stages)
+        return sum(self.expected[stage] for stage in stages) / spent if spent else float("nan")
 
 
 class _Listener(Silence):
@@ -119,11 +128,16 @@ def _fit(runs: Iterable[tuple[int, FirstRun]], stage: str) -> tuple[list[float],
 
 
 def main() -> None:
-    """Print the fitted coefficients beside those in use."""
-    console = Console(width=140)
+    """Print the estimates of the first runs beside the CPU seconds that they took, and the fitted coefficients beside
+    those in use.
+    """
+    console = Console(width=160)
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "24"))
     warm_up(lambda message: None)
     console.print(f"probe: {probe():.4f} CPU s on this machine (REFERENCE_PROBE_SECONDS in factory/machine.py)")
+    judged = Table(title="Estimates before the first run ÷ CPU seconds that its stages took")
+    for column in ("family", "a category", "CPU s", "all stages", *FEATURES):
+        judged.add_column(column)
     table = Table(title="CPU seconds for one of each count")
     for column in ("family", "stage", "counts", "fitted here", "in use × slowness", "scenes"):
         table.add_column(column)
@@ -132,9 +146,13 @@ def main() -> None:
             runs = [
                 (len(CATEGORIES) * asked + 8, first_run(family, root, asked, Path(name), scenes)) for asked in ASKED
             ]
+            for asked, (_, found) in zip(ASKED, runs, strict=True):
+                ratios = [f"{found.ratio(*stages):.2f}" for stages in (FEATURES, *([stage] for stage in FEATURES))]
+                judged.add_row(family, str(asked), f"{found.spent(*FEATURES):.1f}", *ratios)
             for stage, features in FEATURES.items():
                 fitted, count = _fit(runs, stage)
                 used = [value * slowness() for value in COEFFICIENTS[family][stage]]
                 numbers = (", ".join(f"{value:.4f}" for value in values) for values in (fitted, used))
                 table.add_row(family, stage, ", ".join(features), *numbers, str(count))
+    console.print(judged)
     console.print(table)

@@ -25,13 +25,15 @@ from condvln.export.splits import SPLITS
 from condvln.formats.streams import atomic_stream
 from condvln.manifest.manifest import manifest_path, read_manifest
 from factory.index import Index
+from factory.key import Keyer
 from factory.snapshot import Snapshot
 from jobs.benchmark_tables import cell_table, part_lines, short_lines, source_table, stop_table
 from jobs.configuration import load_config
+from jobs.frozen_benchmark import other_parts, other_versions, portable
 from jobs.generate import run_generate
-from jobs.pipeline import build_pipeline
+from jobs.pipeline import build_pipeline, code_versions, list_units
 from jobs.report import Report, Section
-from jobs.workspace import published
+from jobs.workspace import file_hashes, hasher, published
 from schemas.benchmark import (
     BenchmarkCell,
     BenchmarkFile,
@@ -48,9 +50,9 @@ __all__ = ["RECORD", "Benchmark", "build_benchmark", "check_benchmark", "read_re
 RECORD: Final = "benchmark.json"
 """File name of the record in the export's folder."""
 
-_OF_THIS_MACHINE: Final = {"store", "export", "ray", "keep", "limits"}
-_PATHS: Final = {"root", "regions", "houses", "connectivity"}
 _SHOWN: Final = 20
+_NOT_HERE: Final = "it is not among these copies"
+_NOT_THERE: Final = "it is not in the published benchmark"
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,13 @@ def build_benchmark(
 
     Raises
     ------
-    UsageError : the benchmark file is of a final version, and the stages of this installation have other versions
+    UsageError : the benchmark file is of a final version, and the code of this installation has other versions, or the
+        configuration was changed
     CondVLNError : from the run
     """
     benchmark = Benchmark.read(path, overrides)
-    _refuse_other_stages(path, benchmark)
+    if not benchmark.file.draft:
+        _refuse_other_code(path, benchmark)
     report = run_generate(benchmark.config, inline=inline, console=console)
     if report.exit_code not in (0, ProofError.exit_code):
         return report
@@ -111,10 +115,11 @@ def build_benchmark(
     with atomic_stream(export / RECORD) as stream:
         stream.write(_encoded(record))
     short = list(short_lines(benchmark.file, record))
+    other = other_versions(benchmark.file.stages, record.stages, "in the draft's file")
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
         f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
-        *_version_lines(benchmark.file.stages, record.stages, "in the draft's file"),
+        *([f"other versions of the code: {other}"] if other else []),
         *part_lines(benchmark.file, record),
     ]
     lines += short
@@ -137,9 +142,10 @@ def check_benchmark(
     console: Console | None = None,
 ) -> Report:
     """Process your copies of the datasets that the configuration names, and compare the resulting rows with a published
-    record.
+    record. Where this installation has other versions of the code, its rows can't be the published ones: only the
+    scenes' files are compared then, and no stage runs.
 
-    The exit code is 3 where the snapshot has another id.
+    The exit code is 0 where the snapshot has the published id, else 3.
 
     Raises
     ------
@@ -154,28 +160,69 @@ def check_benchmark(
             where=str(record_path),
             remedy="Take both from one release.",
         )
+    keys = _key_lines(theirs.configuration, portable(benchmark.config))
+    here = code_versions(benchmark.config)
+    # Records of former drafts name the stages only.
+    other = other_versions(theirs.stages, {name: here[name] for name in here if name in theirs.stages}, "published")
+    if other:
+        return _files_report(benchmark, theirs, other, keys)
     run = run_generate(benchmark.config.model_copy(update={"export": None}), inline=inline, console=console)
     if run.exit_code not in (0, ProofError.exit_code):
         return run
     snapshot = published(benchmark.config)
     differences = list(_differences(theirs, snapshot))
-    stages = {name: totals.version for name, totals in snapshot.manifest.stages.items()}
     same = snapshot.snapshot_id == theirs.snapshot_id
     lines = [
         f"the same snapshot as published: {theirs.snapshot_id}"
         if same
         else f"ANOTHER SNAPSHOT: {snapshot.snapshot_id} here, {theirs.snapshot_id} published",
-        *_version_lines(theirs.stages, stages, "published"),
-        *_key_lines(theirs.configuration, _portable(benchmark.config)),
+        *keys,
     ]
     if differences:
         lines.append(f"{len(differences)} scenes differ")
+    return _check_report(theirs, lines, differences, snapshot_id=snapshot.snapshot_id, same=same)
+
+
+def _files_report(benchmark: Benchmark, theirs: BenchmarkRecord, other: str, keys: Sequence[str]) -> Report:
+    """Report which scenes have other files than published; for an installation that can't make the published rows."""
+    keyer = Keyer(build_pipeline(benchmark.config))
+    here = {
+        unit.unit_id: None if unit.fault else keyer.key(unit, 0, {}, None).inputs.hex()
+        for unit in list_units(benchmark.config, hasher(file_hashes(benchmark.config)))
+    }
+    differences = []
+    for scene in sorted(theirs.scenes.keys() | here.keys()):
+        if scene not in here:
+            differences.append((scene, _NOT_HERE))
+        elif scene not in theirs.scenes:
+            differences.append((scene, _NOT_THERE))
+        elif here[scene] != theirs.scenes[scene].inputs:
+            differences.append((scene, "its files differ" if here[scene] else "it can't be read here"))
+    count = len(theirs.scenes.keys() | here.keys()) - len(differences)
+    lines = [
+        f"ROWS NOT COMPARED: the code of this release has other versions, so it can't make the published rows: {other}",
+        f"the files of {count:,} of {len(theirs.scenes):,} published scenes are here and the same",
+        *keys,
+    ]
+    if not benchmark.file.draft:
+        lines.append(f"{_code_of(benchmark.file)}, to compare the rows")
+    return _check_report(theirs, lines, differences, snapshot_id=None, same=None)
+
+
+def _check_report(
+    theirs: BenchmarkRecord,
+    lines: list[str],
+    differences: Sequence[tuple[str, str]],
+    *,
+    snapshot_id: str | None,
+    same: bool | None,
+) -> Report:
     report = Report(
         {
             "same": same,
-            "snapshot_id": snapshot.snapshot_id,
+            "snapshot_id": snapshot_id,
             "published": theirs.snapshot_id,
-            "notes": lines[1:],
+            "notes": lines if same is None else lines[1:],
             "scenes": [{"scene": scene, "difference": what} for scene, what in differences],
         },
         lines,
@@ -250,8 +297,8 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
         draft=file.draft,
         snapshot_id=snapshot.snapshot_id,
         export_digest=index["digest"],
-        stages={name: totals.version for name, totals in snapshot.manifest.stages.items()},
-        configuration=_portable(benchmark.config),
+        stages=code_versions(benchmark.config),
+        configuration=portable(benchmark.config),
         instructions=instructions.rows,
         episodes=index["episodes"],
         sources={
@@ -293,23 +340,14 @@ def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
         )
 
 
-def _portable(config: Config) -> dict[str, Any]:
-    """Return the part of the configuration that affects rows, without paths of this machine."""
-    document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
-    document["sources"] = [
-        {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]
-    ]
-    return document
-
-
 def _differences(theirs: BenchmarkRecord, snapshot: Snapshot) -> Iterator[tuple[str, str]]:
     ours = dict(_scenes(snapshot))
     for scene in sorted(theirs.scenes.keys() | ours.keys()):
         here, there = ours.get(scene), theirs.scenes.get(scene)
         if here is None:
-            yield scene, "it is not among these copies"
+            yield scene, _NOT_HERE
         elif there is None:
-            yield scene, "it is not in the published benchmark"
+            yield scene, _NOT_THERE
         elif here.status != there.status:
             why = f" ({here.reason})" if here.reason else ""
             yield scene, f"it is {here.status} here{why} and was {there.status}"
@@ -322,32 +360,30 @@ def _differences(theirs: BenchmarkRecord, snapshot: Snapshot) -> Iterator[tuple[
                 yield scene, "; ".join(filter(None, (files or "its files are the same", rows)))
 
 
-def _refuse_other_stages(path: Path, benchmark: Benchmark) -> None:
-    """Raise an error if the stages of this installation can't make the final version that the file freezes."""
-    here = {stage.name: stage.version for stage in build_pipeline(benchmark.config).stages}
-    if not benchmark.file.draft and here != benchmark.file.stages:
-        name = f"{benchmark.file.benchmark} {benchmark.file.version}"
+def _code_of(file: BenchmarkFile) -> str:
+    return f"Take the code of {file.release} (in a clone: git checkout {file.release})"
+
+
+def _refuse_other_code(path: Path, benchmark: Benchmark) -> None:
+    """Raise an error if this installation or this configuration can't make the final version that the file freezes."""
+    file = benchmark.file
+    name = f"{file.benchmark} {file.version}"
+    other = other_versions(file.stages, code_versions(benchmark.config), f"in {name}")
+    if other:
         raise UsageError(
-            f"{name} can't be built with this release, whose stages have other versions: "
-            f"{_other_versions(benchmark.file.stages, here, f'in {name}')}",
+            f"{name} can't be built with this release, whose code has other versions: {other}",
             where=str(path),
             place="stages",
-            remedy=f"Install the release that has {name}, or take the benchmark file of this release.",
+            remedy=f"{_code_of(file)}, or a benchmark file of this release.",
         )
-
-
-def _other_versions(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> str:
-    names = [*here, *(name for name in theirs if name not in here)]
-    return ", ".join(
-        f"{name} {here.get(name, 'none')} ({where}: {theirs.get(name, 'none')})"
-        for name in names
-        if here.get(name) != theirs.get(name)
-    )
-
-
-def _version_lines(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> list[str]:
-    other = _other_versions(theirs, here, where)
-    return [f"other versions of stages: {other}"] if other else []
+    parts = other_parts(file, benchmark.config)
+    if parts:
+        raise UsageError(
+            f"the configuration is not that of {name}: it differs in {', '.join(parts)}",
+            where=str(path.parent / file.run),
+            remedy="Change nothing but folders, 'ray', 'keep' and 'limits', and leave out the sources that you don't "
+            f"have. If nothing was changed: {_code_of(file)}.",
+        )
 
 
 def _key_lines(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:

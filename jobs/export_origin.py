@@ -16,10 +16,9 @@ import orjson
 from pydantic import Field, ValidationError
 
 from condvln.export.contents import ORIGIN, document_digest, read_document, read_index
-from condvln.export.selection import VERSION
 from condvln.manifest import manifest_paths
 from factory.snapshot import Snapshot
-from jobs.pipeline import build_pipeline
+from jobs.pipeline import code_versions
 from schemas.base import Document
 from schemas.config import Config
 from schemas.errors import SmallerExportError
@@ -77,11 +76,10 @@ class Origin(Document):
                 status=row["status"], data=data.hex(), key=key.hex(), episodes=row.get(columns[3]) or 0
             )
         stages = {name: totals.version for name, totals in snapshot.manifest.stages.items()}
-        aggregates = {aggregate.name: aggregate.version for aggregate in build_pipeline(config).aggregates}
         return cls(
             snapshot=snapshot.snapshot_id,
             configuration=_flat(_deciding(config)),
-            code={**stages, **aggregates, "select": VERSION},
+            code=code_versions(config) | stages,
             priors=dict(snapshot.manifest.aggregates),
             scenes=scenes,
         )

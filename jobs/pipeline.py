@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from condvln.export.rows import Row
 from condvln.export.scene_table import NavmeshBytes
+from condvln.export.selection import VERSION
 from condvln.sources.registry import open_source
 from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
@@ -29,7 +30,7 @@ from schemas.config.constants import GROUP_SIZE
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 
-__all__ = ["build_pipeline", "built_navmeshes", "list_units", "open_configured", "scene_payload"]
+__all__ = ["build_pipeline", "built_navmeshes", "code_versions", "list_units", "open_configured", "scene_payload"]
 
 BYTES_BASE: Final = 300 * 2**20
 """Memory of a worker before it reads a scene, bytes: interpreter, numpy, Arrow, compiled kernels."""
@@ -81,6 +82,13 @@ def build_pipeline(config: Config) -> Pipeline:
         aggregates=(PriorsAggregate(config.thresholds, config.sampling.anchor_size),),
         tables={name: TableSpec(TABLES[name], SORT_KEYS[name], _STAGE_OF[name]) for name in TABLES},
     )
+
+
+def code_versions(config: Config) -> dict[str, int]:
+    """Return the versions of the code that decide rows: of each stage, of the priors, and of the choice of episodes."""
+    pipeline = build_pipeline(config)
+    stages = {stage.name: stage.version for stage in pipeline.stages}
+    return stages | {one.name: one.version for one in pipeline.aggregates} | {"select": VERSION}
 
 
 def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -> Source:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from schemas.base import Document, Finite, VersionedDocument
 from schemas.unit import Hash32, Hash64
@@ -52,7 +52,28 @@ class BenchmarkFile(Document):
         description="number of scenes that the run takes of whole copies of the datasets, by family; a build with "
         "fewer says so",
     )
-    stages: dict[str, int] = Field(description="version of each stage")
+    stages: dict[str, int] = Field(
+        description="versions of the code that decides rows: of each stage, of the priors, and of the choice of "
+        "episodes (select)"
+    )
+    release: str | None = Field(
+        None,
+        min_length=1,
+        max_length=100,
+        description="release or tag of the repository whose code builds the version; of final versions only",
+    )
+    configuration: dict[str, Hash64] = Field(
+        default_factory=dict,
+        description="SHA-256 of each part of the run's configuration that decides rows; of final versions only",
+    )
+
+    @model_validator(mode="after")
+    def _names_what_it_freezes(self) -> BenchmarkFile:
+        if self.draft and (self.release or self.configuration):
+            raise ValueError("a draft freezes neither 'release' nor 'configuration'")
+        if not self.draft and not (self.release and self.configuration):
+            raise ValueError("a final version needs 'release' and 'configuration'")
+        return self
 
 
 class BenchmarkCell(Document):
@@ -98,7 +119,10 @@ class BenchmarkRecord(VersionedDocument):
     draft: bool
     snapshot_id: Hash32
     export_digest: Hash64
-    stages: dict[str, int]
+    stages: dict[str, int] = Field(
+        description="versions of the code that decides rows: of each stage, of the priors, and of the choice of "
+        "episodes (select); records of former drafts have those of stages only"
+    )
     configuration: dict[str, Any] = Field(description="configuration keys that affect rows; no paths of this machine")
     instructions: Count
     episodes: dict[str, Count]

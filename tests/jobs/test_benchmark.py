@@ -24,8 +24,9 @@ from condvln.sources.scene_choice import SceneChoice
 from jobs.benchmark import RECORD, Benchmark, build_benchmark, check_benchmark, read_record
 from jobs.benchmark_tables import part_lines
 from jobs.evaluate import walk_split
+from jobs.frozen_benchmark import freeze, frozen_parts, other_parts
 from jobs.leaderboard import REFERENCES, score_benchmark
-from jobs.pipeline import build_pipeline
+from jobs.pipeline import code_versions
 from schemas.errors import ConfigError, FormatError, MissingFileError, UsageError
 from tests.ending import kill_driver
 
@@ -52,9 +53,22 @@ def written(folder: Path, root: Path, **changes: Any) -> Path:
     return folder / "benchmark.yaml"
 
 
-def stages_of(path: Path) -> dict[str, int]:
-    """The versions of the stages in the code."""
-    return {stage.name: stage.version for stage in build_pipeline(Benchmark.read(path).config).stages}
+def versions_of(path: Path) -> dict[str, int]:
+    """The versions in the code."""
+    return code_versions(Benchmark.read(path).config)
+
+
+def edited(path: Path, **changes: Any) -> Path:
+    """The file of a benchmark with these changes."""
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **changes}, sort_keys=False))
+    return path
+
+
+def final(path: Path, release: str = "small-v0") -> Path:
+    """The file of a draft made final with the versions in the code."""
+    draft = Benchmark.read(edited(path, version="v0-draft", stages=versions_of(path)))
+    freeze(path, draft.file, draft.config, release)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -76,10 +90,11 @@ def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> N
     assert report.exit_code == 3, "cells below the floor, and too few instructions"
     record = read_record(path.parent / "export")
     assert "v0 (draft: it may still change)" in report.lines[0]
-    here = stages_of(path)
+    here = versions_of(path)
     assert record.stages == here
     text = f"text {here['text']} (in the draft's file: {OLD['text']})"
-    assert report.lines[1].startswith("other versions of stages: scene ")
+    assert report.lines[1].startswith("other versions of the code: scene ")
+    assert f"priors {here['priors']} (in the draft's file: none)" in report.lines[1]
     assert text in report.lines[1]
     assert any(line.startswith(f"SHORT: {record.instructions} instructions of 100") for line in report.lines)
     assert record.draft
@@ -201,14 +216,44 @@ def test_a_check_names_the_scene_whose_files_differ(built: tuple[Path, Any], dat
 
 def test_a_check_names_missing_scenes_versions_and_keys(built: tuple[Path, Any], dataset: Path, tmp_path: Path) -> None:
     record = json.loads((built[0].parent / "export" / RECORD).read_text())
+    run = {"sources": [{"family": "replicacad", "root": str(dataset), "scenes": ["made_000"]}], "seed": 4}
+    path = written(tmp_path / "mine", dataset, run=run)
     record["stages"]["text"] += 1
     (tmp_path / RECORD).write_text(json.dumps(record))
-    run = {"sources": [{"family": "replicacad", "root": str(dataset), "scenes": ["made_000"]}], "seed": 4}
-    report = check_benchmark(written(tmp_path / "mine", dataset, run=run), tmp_path / RECORD, inline=True)
-    assert report.exit_code == 3
-    assert {"scene": "replicacad/made_001", "difference": "it is not among these copies"} in report.document["scenes"]
-    assert any(line.startswith("other versions of stages: text") for line in report.lines)
-    assert "the configuration differs in: seed, sources" in report.lines
+    for where, same in ((built[0].parent / "export", False), (tmp_path / RECORD, None)):
+        report = check_benchmark(path, where, inline=True)
+        assert (report.exit_code, report.document["same"]) == (3, same)
+        missing = {"scene": "replicacad/made_001", "difference": "it is not among these copies"}
+        assert missing in report.document["scenes"]
+        assert "the configuration differs in: seed, sources" in report.lines
+        other = [line for line in report.lines if f"text {versions_of(path)['text']} (published: " in line]
+        assert len(other) == (same is None)
+
+
+def test_a_release_that_can_not_make_the_published_rows_compares_the_files(
+    built: tuple[Path, Any], dataset: Path, tmp_path: Path
+) -> None:
+    """It runs no stage, and says where the code is that can."""
+    record = json.loads((built[0].parent / "export" / RECORD).read_text())
+    record["stages"]["priors"] += 1
+    (tmp_path / RECORD).write_text(json.dumps(record))
+    path = final(written(tmp_path / "mine", shutil.copytree(dataset, tmp_path / "copy")))
+    edited(path, version="v0")
+    report = check_benchmark(path, tmp_path / RECORD, inline=True)
+    assert (report.exit_code, report.document["same"], report.document["scenes"]) == (3, None, [])
+    assert report.lines[0].startswith("ROWS NOT COMPARED: ")
+    assert report.lines[0].endswith(
+        f": priors {record['stages']['priors'] - 1} (published: {record['stages']['priors']})"
+    )
+    assert "the files of 2 of 2 published scenes are here and the same" in report.lines
+    assert "Take the code of small-v0 (in a clone: git checkout small-v0), to compare the rows" in report.lines
+    scene = tmp_path / "copy" / "configs" / "scenes" / "made_001.scene_instance.json"
+    for text, said in ((scene.read_text() + "\n", "its files differ"), ("{", "it can't be read here")):
+        scene.write_text(text)
+        report = check_benchmark(path, tmp_path / RECORD, inline=True)
+        assert report.document["scenes"] == [{"scene": "replicacad/made_001", "difference": said}]
+        assert "the files of 1 of 2 published scenes are here and the same" in report.lines
+    assert not (path.parent / "store" / "units").exists()
 
 
 def test_records_that_are_none_are_refused(built: tuple[Path, Any], tmp_path: Path) -> None:
@@ -317,27 +362,102 @@ def test_a_board_with_scenes_has_a_row_of_looker(tmp_path: Path) -> None:
     assert right["looker"] >= 0.9
 
 
-def test_a_final_version_is_not_built_with_stages_of_another(dataset: Path, tmp_path: Path) -> None:
-    """Told before any scene is read; a draft is built all the same, and says so in a line."""
-    path = written(tmp_path / "final", dataset, version="v1", draft=False)
-    here = stages_of(path)
-    with pytest.raises(UsageError, match=r"small v1 can't be built with this release") as raised:
-        build_benchmark(path, inline=True)
-    for name, version in OLD.items():
-        told = f"{name} {here[name]} (in small v1: {version})"
-        assert (told in str(raised.value)) == (here[name] != version)
+def test_a_final_version_is_not_built_with_the_code_of_another(dataset: Path, tmp_path: Path) -> None:
+    """Told before any scene is read, with the release to take; a draft is built all the same, and says so in a line."""
+    path = final(written(tmp_path / "final", dataset))
+    here = versions_of(path)
+    for name in ("text", "priors", "select"):
+        edited(path, stages={**here, name: here[name] + 1})
+        with pytest.raises(UsageError, match=r"small v0 can't be built with this release") as raised:
+            build_benchmark(path, inline=True)
+        assert str(raised.value).count("(in small v0: ") == 1
+        assert f": {name} {here[name]} (in small v0: {here[name] + 1})" in str(raised.value)
+        assert "git checkout small-v0" in raised.value.remedy
     assert not (path.parent / "store").exists()
 
 
-def test_a_final_version_is_built_with_its_stages(built: tuple[Path, Any], tmp_path: Path) -> None:
+def test_a_final_version_is_not_built_with_another_configuration(dataset: Path, tmp_path: Path) -> None:
+    """Folders and what concerns the machine may differ, and sources may be missing."""
+    path = final(written(tmp_path / "final", dataset))
+    for changed, said in (
+        (["seed=5"], "seed"),
+        (["thresholds.near=1.4", "instructions.per_category.simple=7"], "instructions, thresholds"),
+        (["sources.0.scenes=[made_000]"], "sources.replicacad"),
+        (["sources.0.family=hssd"], "sources.hssd"),
+    ):
+        with pytest.raises(UsageError, match=r"the configuration is not that of small v0") as raised:
+            build_benchmark(path, changed, inline=True)
+        assert f"it differs in {said}" in str(raised.value)
+        assert "git checkout small-v0" in raised.value.remedy
+    assert not (path.parent / "store").exists()
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    benchmark = Benchmark.read(path, ["store=elsewhere", f"sources.0.root={copy}", "ray.workers=1", "name=other"])
+    assert other_parts(benchmark.file, benchmark.config) == []
+    assert other_parts(benchmark.file, benchmark.config.model_copy(update={"sources": ()})) == []
+
+
+def test_a_final_version_is_built_with_its_code(built: tuple[Path, Any], tmp_path: Path) -> None:
     folder = shutil.copytree(built[0].parent, tmp_path / "copy")
-    document = yaml.safe_load((folder / "benchmark.yaml").read_text())
-    document |= {"version": "v1", "draft": False, "stages": stages_of(built[0])}
-    (folder / "benchmark.yaml").write_text(yaml.safe_dump(document))
-    report = build_benchmark(folder / "benchmark.yaml", inline=True)
-    assert "draft" not in report.lines[0]
-    assert not any("other versions" in line for line in report.lines)
+    report = build_benchmark(final(folder / "benchmark.yaml"), inline=True)
+    assert report.lines[0].startswith("small v0: snapshot ")
+    assert not any("draft" in line or "other versions" in line for line in report.lines)
     assert not read_record(folder / "export").draft
+    board = score_benchmark(folder / "export", "val_unseen", [], references=False)
+    assert not any("draft" in line for line in board.lines)
+
+
+def test_the_export_of_a_final_version_is_scored_by_later_releases(
+    built: tuple[Path, Any], dataset: Path, tmp_path: Path
+) -> None:
+    """Which have other versions, and can't build it."""
+    folder = shutil.copytree(built[0].parent, tmp_path / "copy")
+    path = final(folder / "benchmark.yaml")
+    build_benchmark(path, inline=True)
+    record = json.loads((folder / "export" / RECORD).read_text())
+    before = score_benchmark(folder / "export", "val_unseen", [], roots=[dataset])
+    later = {name: version - 1 for name, version in record["stages"].items()}
+    (folder / "export" / RECORD).write_text(json.dumps({**record, "stages": later}))
+    edited(path, stages=later)
+    with pytest.raises(UsageError, match="can't be built with this release"):
+        build_benchmark(path, inline=True)
+    assert score_benchmark(folder / "export", "val_unseen", [], roots=[dataset]).document == before.document
+
+
+def test_a_draft_is_made_final_once(dataset: Path, tmp_path: Path) -> None:
+    path = written(tmp_path / "draft", dataset)
+    draft = Benchmark.read(path)
+    with pytest.raises(UsageError, match="the draft is of other versions of the code: "):
+        freeze(path, draft.file, draft.config, "small-v0")
+    assert Benchmark.read(path).file == draft.file
+    edited(path, version="v0-draft", stages=versions_of(path))
+    path.write_text(f"# What it is.\n{path.read_text()}")
+    draft = Benchmark.read(path)
+    returned = freeze(path, draft.file, draft.config, "small-v0")
+    found = Benchmark.read(path)
+    assert found.file == returned
+    assert path.read_text().startswith("# What it is.\n"), "comments stay"
+    assert (found.file.version, found.file.draft, found.file.release) == ("v0", False, "small-v0")
+    assert found.file.stages == versions_of(path)
+    assert found.file.configuration == frozen_parts(found.config)
+    assert set(found.file.configuration) >= {"seed", "instructions", "splits", "sources.replicacad"}
+    assert not {"name", "store", "export", "ray"} & set(found.file.configuration)
+    with pytest.raises(UsageError, match="small v0 is final already"):
+        freeze(path, found.file, found.config, "small-v0")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"draft": False}, "a final version needs 'release' and 'configuration'"),
+        ({"draft": False, "release": "r"}, "a final version needs 'release' and 'configuration'"),
+        ({"release": "r"}, "a draft freezes neither 'release' nor 'configuration'"),
+    ],
+)
+def test_only_final_versions_freeze_the_configuration(
+    dataset: Path, tmp_path: Path, changes: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        Benchmark.read(edited(written(tmp_path / "file", dataset), **changes))
 
 
 def test_the_shipped_benchmark_says_whether_it_is_a_draft(pytestconfig: pytest.Config) -> None:

@@ -18,7 +18,7 @@ import pytest
 from condvln.sources.source import hash_file
 from factory.fingerprint import compare, fingerprints
 from jobs.benchmark import Benchmark
-from jobs.pipeline import build_pipeline, list_units
+from jobs.pipeline import build_pipeline, code_versions, list_units
 from jobs.report import Report
 from schemas.config import Config
 
@@ -51,7 +51,7 @@ def test_a_benchmark_names_the_versions_of_the_stages(pytestconfig: pytest.Confi
     named: dict[str, dict[str, int]] = {}
     for path in sorted(folder.glob("benchmark-*.yaml")):
         benchmark = Benchmark.read(path, check_roots=False)
-        stages = {stage.name: stage.version for stage in build_pipeline(benchmark.config).stages}
+        stages = code_versions(benchmark.config)
         if benchmark.file.draft and os.environ.get("CONDVLN_UPDATE_GOLDEN"):
             lines = "".join(f"  {name}: {version}\n" for name, version in stages.items())
             path.write_text(re.sub(r"(?m)^stages:\n(?:  \w+: \d+\n)+", f"stages:\n{lines}", path.read_text()))
@@ -60,6 +60,7 @@ def test_a_benchmark_names_the_versions_of_the_stages(pytestconfig: pytest.Confi
         if benchmark.file.draft:
             assert benchmark.file.stages == stages, f"{path.name}: write it anew with CONDVLN_UPDATE_GOLDEN=1"
     assert stages in named.values(), (
-        f"stages have other versions than the final benchmarks ({', '.join(named)}), which must stay as they are: copy "
-        "the newest to the next version, with 'draft: true'"
+        f"the code has other versions than the final benchmarks ({', '.join(named)}), which must stay as they are: "
+        "copy the newest to the next version with 'draft: true', without 'release' and 'configuration', and run again "
+        "with CONDVLN_UPDATE_GOLDEN=1"
     )
