@@ -31,6 +31,7 @@ from jobs.benchmark_tables import cell_table, part_lines, short_lines, source_ta
 from jobs.configuration import load_config
 from jobs.frozen_benchmark import other_parts, other_versions, portable
 from jobs.generate import run_generate
+from jobs.looker import datasets_of
 from jobs.pipeline import build_pipeline, code_versions, list_units
 from jobs.report import Report, Section
 from jobs.workspace import file_hashes, hasher, published
@@ -63,12 +64,18 @@ class Benchmark:
     config: Config
 
     @classmethod
-    def read(cls, path: Path, overrides: Sequence[str] = (), *, check_roots: bool = True) -> Benchmark:
+    def read(
+        cls, path: Path, overrides: Sequence[str] = (), *, scenes: Sequence[str] = (), check_roots: bool = True
+    ) -> Benchmark:
         """Read the benchmark file at `path`, and the configuration of the run that this file names.
+
+        scenes : ``FAMILY=FOLDER`` of each dataset that is there; the run's sources of other families are left out. All
+            sources are kept if none is given
 
         Raises
         ------
         ConfigError : one of them is missing or faulty, or the run names no export
+        UsageError : a text of `scenes` is not of that form, or the run has no source of its family
         """
         if not path.is_file():
             raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark-v1.yaml.")
@@ -78,21 +85,49 @@ class Benchmark:
             raise ConfigError(
                 f"not a benchmark file: {error}", where=path, remedy="Compare it with configs/benchmark-v1.yaml."
             ) from None
-        config = load_config(path.parent / file.run, overrides, check_roots=check_roots)
+        run = path.parent / file.run
+        overrides = [*_own_sources(run, datasets_of(scenes)), *overrides]
+        config = load_config(run, overrides, check_roots=check_roots)
         if config.export is None:
             raise ConfigError(
                 "a benchmark needs an export folder",
-                where=path.parent / file.run,
+                where=run,
                 place="export",
                 remedy="Set export: FOLDER.",
             )
         return cls(file, config)
 
 
+def _own_sources(run: Path, roots: Mapping[str, Path]) -> list[str]:
+    """Return the overrides that leave a run's configuration the sources of the given families, in the given folders."""
+    if not roots:
+        return []
+    whole = load_config(run, check_roots=False)
+    families = {source.family for source in whole.sources}
+    strange = sorted(roots.keys() - families)
+    if strange:
+        raise UsageError(
+            f"the benchmark has no scenes of {', '.join(strange)}",
+            place="--scenes",
+            remedy=f"It has scenes of {', '.join(sorted(families))}.",
+        )
+    kept = [
+        source.model_dump(mode="json", exclude_defaults=True) | {"root": str(roots[source.family].resolve())}
+        for source in whole.sources
+        if source.family in roots
+    ]
+    return [f"sources={orjson.dumps(kept).decode()}"]
+
+
 def build_benchmark(
-    path: Path, overrides: Sequence[str] = (), *, inline: bool = False, console: Console | None = None
+    path: Path,
+    overrides: Sequence[str] = (),
+    *,
+    scenes: Sequence[str] = (),
+    inline: bool = False,
+    console: Console | None = None,
 ) -> Report:
-    """Generate and export the benchmark, and write its record into the export.
+    """Generate and export the benchmark, and write its record into the export; `scenes` as in `Benchmark.read`.
 
     The exit code is 3 where a cell is below the floor, or where there are too few instructions. The record is written
     all the same.
@@ -103,7 +138,7 @@ def build_benchmark(
         configuration was changed
     CondVLNError : from the run
     """
-    benchmark = Benchmark.read(path, overrides)
+    benchmark = Benchmark.read(path, overrides, scenes=scenes)
     if not benchmark.file.draft:
         _refuse_other_code(path, benchmark)
     report = run_generate(benchmark.config, inline=inline, console=console)
@@ -138,6 +173,7 @@ def check_benchmark(
     record_path: Path,
     overrides: Sequence[str] = (),
     *,
+    scenes: Sequence[str] = (),
     inline: bool = False,
     console: Console | None = None,
 ) -> Report:
@@ -152,7 +188,7 @@ def check_benchmark(
     InputError : the record can't be read
     """
     theirs = read_record(record_path)
-    benchmark = Benchmark.read(path, overrides)
+    benchmark = Benchmark.read(path, overrides, scenes=scenes)
     if (benchmark.file.benchmark, benchmark.file.version) != (theirs.benchmark, theirs.version):
         raise UsageError(
             f"the record is of {theirs.benchmark} {theirs.version}, but the benchmark file is of "
@@ -178,8 +214,6 @@ def check_benchmark(
         else f"ANOTHER SNAPSHOT: {snapshot.snapshot_id} here, {theirs.snapshot_id} published",
         *keys,
     ]
-    if differences:
-        lines.append(f"{len(differences)} scenes differ")
     return _check_report(theirs, lines, differences, snapshot_id=snapshot.snapshot_id, same=same)
 
 
@@ -217,6 +251,9 @@ def _check_report(
     snapshot_id: str | None,
     same: bool | None,
 ) -> Report:
+    if differences:
+        first = f", of which {_SHOWN} are shown" if len(differences) > _SHOWN else ""
+        lines.append(f"scenes that differ: {len(differences):,}{first}")
     report = Report(
         {
             "same": same,

@@ -21,15 +21,30 @@ BenchmarkPath = Annotated[
     Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, such as configs/benchmark-v1.yaml")
 ]
 
+OwnScenes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--scenes",
+        metavar="FAMILY=DIR",
+        help="your copy of a dataset; may be repeated. Families that are not named are left out; without this option, "
+        "the run's configuration names the folders",
+    ),
+]
+
 
 @group.command("build", epilog=EXIT_CODES)
 def benchmark_build(
-    benchmark: BenchmarkPath, overrides: Overrides = None, inline: Inline = False, as_json: AsJson = False
+    benchmark: BenchmarkPath,
+    scenes: OwnScenes = None,
+    overrides: Overrides = None,
+    inline: Inline = False,
+    as_json: AsJson = False,
 ) -> None:
     """Generate and export the benchmark from your copies of the datasets, and write its record, benchmark.json."""
     from jobs.benchmark import build_benchmark
 
-    report = build_benchmark(benchmark, overrides or (), inline=inline, console=console(quiet=as_json))
+    out = console(quiet=as_json)
+    report = build_benchmark(benchmark, overrides or (), scenes=scenes or (), inline=inline, console=out)
     answer(report, as_json)
     leave(report.exit_code)
 
@@ -41,6 +56,7 @@ def benchmark_check(
         Path,
         typer.Argument(metavar="RECORD", help="published benchmark.json, or the folder of the export that holds it"),
     ],
+    scenes: OwnScenes = None,
     overrides: Overrides = None,
     inline: Inline = False,
     as_json: AsJson = False,
@@ -48,7 +64,8 @@ def benchmark_check(
     """Check whether your copies of the datasets give the published snapshot; name scenes that differ (exit code 3)."""
     from jobs.benchmark import check_benchmark
 
-    report = check_benchmark(benchmark, record, overrides or (), inline=inline, console=console(quiet=as_json))
+    out = console(quiet=as_json)
+    report = check_benchmark(benchmark, record, overrides or (), scenes=scenes or (), inline=inline, console=out)
     answer(report, as_json)
     leave(report.exit_code)
 

@@ -66,7 +66,8 @@ def edited(path: Path, **changes: Any) -> Path:
 
 def final(path: Path, release: str = "small-v0") -> Path:
     """The file of a draft made final with the versions in the code."""
-    draft = Benchmark.read(edited(path, version="v0-draft", stages=versions_of(path)))
+    here = code_versions(Benchmark.read(path, check_roots=False).config)
+    draft = Benchmark.read(edited(path, version="v0-draft", stages=here), check_roots=False)
     freeze(path, draft.file, draft.config, release)
     return path
 
@@ -421,6 +422,31 @@ def test_the_export_of_a_final_version_is_scored_by_later_releases(
     with pytest.raises(UsageError, match="can't be built with this release"):
         build_benchmark(path, inline=True)
     assert score_benchmark(folder / "export", "val_unseen", [], roots=[dataset]).document == before.document
+
+
+def test_a_user_names_the_datasets_that_are_there(dataset: Path, tmp_path: Path) -> None:
+    """The others are left out, and what the version says of those that are there holds."""
+    exclude = ["train-9*"]
+    sources = [
+        {"family": "procthor", "root": "nowhere", "exclude": exclude},
+        {"family": "replicacad", "root": "nowhere"},
+    ]
+    path = final(written(tmp_path / "final", dataset, run={"sources": sources}))
+    copies = {name: shutil.copytree(dataset, tmp_path / name) for name in ("replicacad", "procthor")}
+    for families in (("replicacad",), ("procthor", "replicacad")):
+        found = Benchmark.read(path, scenes=[f"{name}={copies[name]}" for name in families])
+        assert [(source.family, source.root) for source in found.config.sources] == [
+            (name, copies[name]) for name in families
+        ]
+        assert other_parts(found.file, found.config) == []
+    assert found.config.sources[0].exclude == tuple(exclude)
+    with pytest.raises(UsageError, match="the benchmark has no scenes of hssd") as raised:
+        Benchmark.read(path, scenes=[f"hssd={dataset}"])
+    assert "procthor, replicacad" in raised.value.remedy
+    with pytest.raises(UsageError, match="is not FAMILY=FOLDER"):
+        Benchmark.read(path, scenes=["replicacad"])
+    with pytest.raises(ConfigError, match="no such folder"):
+        Benchmark.read(path)
 
 
 def test_a_draft_is_made_final_once(dataset: Path, tmp_path: Path) -> None:
