@@ -52,6 +52,7 @@ RECORD: Final = "benchmark.json"
 """File name of the record in the export's folder."""
 
 _SHOWN: Final = 20
+_REMEDY: Final = "Compare it with configs/benchmark-v1.yaml."
 _NOT_HERE: Final = "it is not among these copies"
 _NOT_THERE: Final = "it is not in the published benchmark"
 
@@ -81,9 +82,15 @@ class Benchmark:
             raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark-v1.yaml.")
         try:
             file = BenchmarkFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-        except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ConfigError(f"not a benchmark file: {error}", where=path, remedy=_REMEDY) from None
+        except ValidationError as error:
+            first = error.errors()[0]
             raise ConfigError(
-                f"not a benchmark file: {error}", where=path, remedy="Compare it with configs/benchmark-v1.yaml."
+                f"not a benchmark file: {first['msg'].removeprefix('Value error, ')}",
+                where=path,
+                place=".".join(map(str, first["loc"])),
+                remedy=_REMEDY,
             ) from None
         run = path.parent / file.run
         overrides = [*_own_sources(run, datasets_of(scenes)), *overrides]
@@ -419,7 +426,7 @@ def _refuse_other_code(path: Path, benchmark: Benchmark) -> None:
             f"the configuration is not that of {name}: it differs in {', '.join(parts)}",
             where=str(path.parent / file.run),
             remedy="Change nothing but folders, 'ray', 'keep' and 'limits', and leave out the sources that you don't "
-            f"have. If nothing was changed: {_code_of(file)}.",
+            f"have. If nothing was changed, the code is another one. {_code_of(file)}.",
         )
 
 
