@@ -5,7 +5,8 @@
 docs/ladder.md. CONDVLN_LADDER sets the number of episodes of a category and scene, CONDVLN_LADDER_WORKERS that of
 processes. Errors are paired: a level keeps the errors of the one below. With CONDVLN_LADDER_ROWS, a file, every scene's
 results are added to it once its agents have walked; a run that was stopped goes on from there. CONDVLN_LADDER_SCENES is
-the number of scenes to take: no more of them than the file has results of are printed without walking.
+the number of scenes to take: no more of them than the file has results of are printed without walking. Scenes whose
+building has no mesh at hand, so that neither walls nor floor are seen, are left out.
 """
 
 from __future__ import annotations
@@ -100,6 +101,8 @@ def walked(job: tuple[str, int], made: Path) -> list[Row]:
     if number >= len(names):
         return []
     world = open_world(source, names[number])
+    if world.geometry is None:
+        return []  # the mesh of the building is missing: neither walls nor floor are seen
     wanted = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), counterfactual_groups=0)
     tasks = [task_of(row) for row in world.episodes(instructions=wanted, priors=priors)]
     return [row for name, rung in agents().items() for row in in_scene(data, name, rung, world, tasks)]

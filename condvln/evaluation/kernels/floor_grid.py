@@ -82,7 +82,8 @@ def chart(
             else:
                 far = max(far, ground)
                 clear[a, b] = True
-                region[a, b] = regions[i, j]
+                if regions[i, j] >= 0:
+                    region[a, b] = regions[i, j]
                 near[a, b] = min(near[a, b], ground)
         # The camera does not see the floor around the agent's feet; it is assumed open up to the next obstacle.
         stop = min(wall - cell, max(far, blind))

@@ -42,6 +42,10 @@ MUCH_NEAR: Final = 3.0
 """The same in the rooms that it searches."""
 LEAST_GAIN: Final = 0.1
 """Least area in square metres of unseen floor for which it goes anywhere."""
+WIDE_VIEW: Final = 1.5
+"""Area in square metres of unseen floor by way of which it looks for another room first: less is mostly behind
+furniture.
+"""
 WORTH: Final = 1.0
 """Length in metres of the detour that a square metre of unseen floor is worth when it looks for another room."""
 SECLUDED: Final = frozenset(("bathroom", "bedroom", "child's room", "closet", "laundry room", "pantry", "storage room",
@@ -99,9 +103,9 @@ class Explorer:
         """
         ground = here.ground
         rooms = self._referents.rooms(phrase)
-        targets = ground.passable & (ground.frontier | (ground.near > (self._close if close is None else close)))
         open_to = self._open_to(ground)
-        targets &= open_to
+        close = self._close if close is None else close
+        targets = open_to & ground.passable & (ground.frontier | (ground.near > close))
         if around is not None:
             rows, columns = np.nonzero(targets)
             far = np.hypot(*(ground.places(rows, columns) - around[0]).T) > around[1]
@@ -120,7 +124,10 @@ class Explorer:
         beyond = [thing.middle[[0, 2]] for thing in self._referents.memory if thing.room in rooms]
         # The room was seen, and no way into it.
         towards = np.mean(beyond, axis=0) if beyond and not rooms & self.been else None
-        return self._another_room(here, targets & (inside | ground.frontier), phrase, rooms, towards)
+        found = self._another_room(here, targets & (inside | ground.frontier), phrase, rooms, towards)
+        if found is None:  # the only way on may be a narrow gap
+            found = self._another_room(here, open_to & ground.edge, phrase, rooms, towards)
+        return found
 
     def nearer(self, thing: Thing, move: Phrase, here: Here) -> F64 | None:
         """Return the position that can be reached and is the nearest to an object, no floor beside which is known; on
@@ -161,9 +168,11 @@ class Explorer:
         if not len(rows):
             return None
         gain = self._gain(ground, targets | ground.unseen, rows, columns)
-        worth = gain >= LEAST_GAIN
-        if worth.any():
-            rows, columns, gain = rows[worth], columns[worth], gain[worth]
+        for least in (WIDE_VIEW, LEAST_GAIN):
+            worth = gain >= least
+            if worth.any():
+                rows, columns, gain = rows[worth], columns[worth], gain[worth]
+                break
         region = ground.region[rows, columns]
         extra = WORTH * np.maximum(MUCH - gain, 0.0) + KNOWN_ROOM * np.isin(region, list(self.been))
         if phrase.room is not None and phrase.room.label not in SECLUDED:

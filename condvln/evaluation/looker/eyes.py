@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
+from scipy import ndimage
 from shapely import Polygon, contains_xy
 
 from condvln.labels import Vocabulary, vocabulary
@@ -66,13 +67,13 @@ class Look:
 
 
 class RoomLookup:
-    """Room numbers by position, from a table; -1 outside all room polygons."""
+    """Room numbers by position, from tables; -1 outside all room polygons."""
 
     def __init__(self, scene: Scene) -> None:
         self.labels = {k: room.label for k, room in enumerate(scene.rooms)}
         drawn = [(k, room) for k, room in enumerate(scene.rooms) if room.polygon is not None]
         self._single = len(scene.rooms) == 1
-        self._tables: list[tuple[float, NDArray[np.int16]]] = []
+        self._tables: list[tuple[float, NDArray[np.int16], NDArray[np.int16]]] = []
         self._low = np.zeros(2)
         if not drawn or self._single:
             return
@@ -86,21 +87,24 @@ class RoomLookup:
             for k, room in drawn:
                 if round(room.floor_y, 1) == floor:
                     table[contains_xy(Polygon(room.polygon), x.ravel(), z.ravel()).reshape(x.shape)] = k
-            self._tables.append((floor, table))
+            self._tables.append((floor, table, _inner(table)))
 
-    def __call__(self, points: F64, feet: float) -> NDArray[np.int16]:
+    def __call__(self, points: F64, feet: float, *, inner: bool = False) -> NDArray[np.int16]:
         """Return the room numbers (n,) of points (n, 3) on the agent's storey; `feet` is the height of the agent's feet
         in metres.
+
+        inner : -1 also beside the border of another room, where a point may be on the other side of a wall
         """
         if self._single:
             return np.zeros(len(points), np.int16)
         if not self._tables:
             return np.full(len(points), -1, np.int16)
-        table = min(self._tables, key=lambda one: abs(one[0] - feet))[1]
-        cells = np.floor((points[:, [0, 2]] - self._low) / LOOKUP_CELL).astype(np.intp)
-        inside: NDArray[np.bool_] = np.asarray(((cells >= 0) & (cells < table.shape)).all(axis=1))
-        cells = np.where(inside[:, None], cells, 0)
-        return np.where(inside, table[cells[:, 0], cells[:, 1]], -1).astype(np.int16)
+        _, whole, narrowed = min(self._tables, key=lambda one: abs(one[0] - feet))
+        table = narrowed if inner else whole
+        a = np.floor((points[:, 0] - self._low[0]) / LOOKUP_CELL).astype(np.intp)
+        b = np.floor((points[:, 2] - self._low[1]) / LOOKUP_CELL).astype(np.intp)
+        inside: NDArray[np.bool_] = (a >= 0) & (a < table.shape[0]) & (b >= 0) & (b < table.shape[1])
+        return np.where(inside, table[np.where(inside, a, 0), np.where(inside, b, 0)], -1).astype(np.int16)
 
 
 class Eyes:
@@ -146,21 +150,27 @@ class Eyes:
             columns, rows = pixel_rays(camera)
             turn = math.radians(camera.turn)
             depth = frame.depth.astype(np.float64)
-            right, ahead = columns[None] * depth, depth
-            up = rows[:, None] * depth + camera.eye_height
-            own = _turned(np.stack([right, up, ahead], axis=2), turn)
-            world = _turned(own, heading) * [1.0, 1.0, -1.0] + feet
-            regions = self.rooms(world.reshape(-1, 3), float(feet[1])).reshape(depth.shape)
+            right = columns[None] * depth
+            slant = np.hypot(columns, 1.0)[None]  # metres on the ground for one along the optical axis
+            whole = _turned(right, rows[:, None] * depth, depth, turn + heading).reshape(-1, 3)
+            world = whole * [1.0, 1.0, -1.0] + feet
+            regions = self.rooms(world, float(feet[1]), inner=True).reshape(depth.shape)
             views.append(SeenView(frame.depth, regions, columns, rows, turn, camera.eye_height))
-            shown = np.asarray(self._named[frame.instance]) & np.asarray(np.hypot(right, ahead) <= self._config.reach)
-            points.append(own[shown])
+            shown = self._named[frame.instance] & (slant * depth <= self._config.reach)
+            up = (rows[:, None] * depth + camera.eye_height)[shown]
+            points.append(_turned(right[shown], up, depth[shown], turn))
             owners.append(frame.instance[shown].astype(np.int64) - 1)
         owner, cloud = np.concatenate(owners), np.concatenate(points)
         here = int(self.rooms(feet[None], float(feet[1]))[0])
         return self._detected(tuple(views), cloud, owner, here)
 
     def _detected(self, views: tuple[SeenView, ...], points: F64, owner: NDArray[np.int64], here: int) -> Look:
-        numbers, inverse, counts = np.unique(owner, return_inverse=True, return_counts=True)
+        pixels = np.bincount(owner)
+        numbers = np.flatnonzero(pixels)
+        counts = pixels[numbers]
+        rank = np.zeros(len(pixels), np.intp)
+        rank[numbers] = np.arange(len(numbers))
+        inverse = rank[owner]
         things: dict[int, tuple[str, int]] = {}
         kept = np.zeros(len(numbers), bool)
         ghosts, ghost_owner = [points], [owner]
@@ -178,7 +188,7 @@ class Eyes:
         ghosts[0], ghost_owner[0] = points[kept[inverse]], owner[kept[inverse]]
         seen_rooms = {room for _, room in things.values()} | {here}
         for view in views:
-            seen_rooms |= set(np.unique(view.regions).tolist())
+            seen_rooms |= set((np.flatnonzero(np.bincount(view.regions.ravel() + 1)) - 1).tolist())
         rooms = {room: self.rooms.labels[room] for room in sorted(seen_rooms) if room >= 0}
         return Look(views, np.concatenate(ghosts), np.concatenate(ghost_owner), things, rooms, here)
 
@@ -199,8 +209,16 @@ class Eyes:
         return label, ghost
 
 
-def _turned(points: F64, turn: float) -> F64:
-    """Convert points (right, up, ahead) from a frame that is turned left by `turn` radians into the unturned frame."""
+def _inner(table: NDArray[np.int16]) -> NDArray[np.int16]:
+    """Return a table of room numbers with -1 for cells next to those of another room."""
+    most = ndimage.maximum_filter(table, 3)
+    least = ndimage.minimum_filter(np.where(table < 0, np.iinfo(np.int16).max, table), 3)
+    return np.where((table >= 0) & (least == most), table, -1).astype(np.int16)
+
+
+def _turned(right: F64, up: F64, ahead: F64, turn: float) -> F64:
+    """Return points (..., 3) right, up and ahead of an agent, given by their coordinates (...) in a frame that is
+    turned left of the agent's by `turn` radians.
+    """
     c, s = math.cos(turn), math.sin(turn)
-    right, up, ahead = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * right - s * ahead, up, s * right + c * ahead], axis=-1)

@@ -75,6 +75,11 @@ class Ground:
         a, b = math.floor(x / CELL) + HALF - self.corner[0], math.floor(z / CELL) + HALF - self.corner[1]
         return min(max(a, 0), self.cost.shape[0] - 1), min(max(b, 0), self.cost.shape[1] - 1)
 
+    @property
+    def edge(self) -> Bools:
+        """Mask (n, m) of the passable cells next to unseen ones, in gaps however narrow."""
+        return self.passable & _beside(self.unseen)
+
     def places(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> F64:
         """Return the centres (k, 2) of cells, x and z in metres."""
         return np.stack([rows + self.corner[0] - HALF + 0.5, columns + self.corner[1] - HALF + 0.5], axis=1) * CELL
@@ -214,12 +219,7 @@ class FloorMap:
         passable = seen & (clearance >= CELL)
         cost = np.where(passable, np.where(clearance >= WIDE, 1.0, np.where(clearance >= CLEARANCE, 1.5, 6.0)), np.inf)
         unseen = ~seen
-        beside = np.zeros_like(unseen)
-        beside[1:] |= unseen[:-1]
-        beside[:-1] |= unseen[1:]
-        beside[:, 1:] |= unseen[:, :-1]
-        beside[:, :-1] |= unseen[:, 1:]
-        frontier = passable & beside & (clearance >= CLEARANCE)
+        frontier = passable & _beside(unseen) & (clearance >= CLEARANCE)
         borders, count = ndimage.label(frontier, np.ones((3, 3)))
         if count:
             sizes = np.bincount(borders.ravel())
@@ -241,6 +241,16 @@ class FloorMap:
             guess,
             self._near[part],
         )
+
+
+def _beside(mask: Bools) -> Bools:
+    """Return the cells next to those of a mask (n, m), across one of their four edges."""
+    beside = np.zeros_like(mask)
+    beside[1:] |= mask[:-1]
+    beside[:-1] |= mask[1:]
+    beside[:, 1:] |= mask[:, :-1]
+    beside[:, :-1] |= mask[:, 1:]
+    return beside
 
 
 def _floor_below(look: Look, before: float) -> float:

@@ -82,20 +82,25 @@ class Memory:
         x, z = place[0] + c * right - s * ahead, place[2] - s * right - c * ahead
         cubes = np.floor(np.stack([x, up + place[1], z]) / GRAIN).astype(np.int64) + _SPAN // 2
         keys = (cubes[0] * _SPAN + cubes[1]) * _SPAN + cubes[2]
-        order = np.argsort(look.owner, kind="stable")
-        owner, keys, away = look.owner[order], keys[order], np.hypot(right, ahead)[order]
-        numbers, starts = np.unique(owner, return_index=True)
-        ends = [*starts[1:].tolist(), len(owner)][: len(starts)]
-        for number, start, end in zip(numbers.tolist(), starts.tolist(), ends, strict=True):
+        numbers, rank = np.unique(look.owner, return_inverse=True)
+        nearest = np.full(len(numbers), np.inf)
+        np.minimum.at(nearest, rank, np.hypot(right, ahead))
+        # Sorted by object, then by cube; each cube of an object once.
+        owned = np.sort(rank * _SPAN**3 + keys)
+        owned = owned[np.diff(owned, prepend=-1) > 0]
+        ends = np.searchsorted(owned, (np.arange(len(numbers)) + 1) * _SPAN**3).tolist()
+        start = 0
+        for k, (number, end, distance) in enumerate(zip(numbers.tolist(), ends, nearest.tolist(), strict=True)):
             label, room = look.things[number]
-            found, distance = np.unique(keys[start:end]), float(away[start:end].min())
+            found, start = owned[start:end] - k * _SPAN**3, end
             known = self._things.get(number)
             if known is None:
                 self._things[number] = Thing(number, label, room, found, distance, step)
                 continue
-            merged = np.union1d(known.cubes, found)
-            if len(merged) != len(known.cubes):
-                known.cubes, known._points = merged, None
+            at = np.searchsorted(known.cubes, found)
+            new = known.cubes[np.minimum(at, len(known.cubes) - 1)] != found
+            if new.any():
+                known.cubes, known._points = np.insert(known.cubes, at[new], found[new]), None
             known.nearest, known.seen = min(known.nearest, distance), step
         if self._span is not None:
             self._things = {k: one for k, one in self._things.items() if step - one.seen <= self._span}

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from scipy.sparse.csgraph import dijkstra
+from shapely import Polygon
 from typer.testing import CliRunner
 
 from condvln.evaluation.export_folder import Export
@@ -16,7 +18,7 @@ from condvln.evaluation.kernels.floor_grid import chart, line_is_open, open_area
 from condvln.evaluation.looker import Looker, LookingAgent, read_text
 from condvln.evaluation.looker.approach import approach
 from condvln.evaluation.looker.exploring import Explorer, Here
-from condvln.evaluation.looker.eyes import GHOST, Eyes
+from condvln.evaluation.looker.eyes import GHOST, LOOKUP_CELL, Eyes, RoomLookup
 from condvln.evaluation.looker.floor_map import HALF, Ground
 from condvln.evaluation.looker.judging import holds
 from condvln.evaluation.looker.memory import GRAIN, Memory, Thing
@@ -423,6 +425,78 @@ def test_more_unseen_floor_is_worth_a_detour() -> None:
     place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(sink, here)
     assert place is not None
     assert place[0] < -1.0
+
+
+def test_a_little_unseen_floor_nearby_does_not_keep_it_from_another_room() -> None:
+    """0.4 m² are unseen 0.4 m to the right, and much more 2.9 m to the left."""
+    ground, _ = two_ways_on()
+    ground.unseen[:5] = True
+    ground.unseen[35:39] = False
+    ground.passable[:] = ~ground.unseen
+    ground.cost[:] = np.where(ground.unseen, np.inf, 1.0)
+    ground.frontier[:] = False
+    ground.frontier[5] = ground.frontier[38] = True
+    pose = np.array([1.45, 0.0])
+    here = Here(pose, 0.0, ground, ground.ways_from(*pose))
+    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(Phrase("sink", room=Place("kitchen")), here)
+    assert place is not None
+    assert place[0] < -1.0
+    # Where nothing else is left, it goes there.
+    ground.frontier[5] = False
+    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(Phrase("sink", room=Place("kitchen")), here)
+    assert place is not None
+    assert place[0] > 1.5
+
+
+def test_it_goes_through_a_narrow_gap_where_nothing_else_is_left() -> None:
+    ground, here = two_ways_on()
+    ground.frontier[:] = False  # no gap is wide
+    explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
+    place = explorer.unseen(Phrase("sink", room=Place("kitchen")), here)
+    assert place is not None
+    assert ground.unseen[ground.cell(*(place * 1.1).tolist())]
+    # In a room that it has found, what a gap hides does not count.
+    assert explorer.unseen(Phrase("sink"), here) is None
+
+
+def test_floor_beside_a_wall_is_not_taken_for_that_of_the_room_behind(
+    made: tuple[Export, Path], views: SceneViews
+) -> None:
+    scene = views(str(made[0].tasks("train")[0].axes["scene"])).scene
+    lookup = RoomLookup(scene)
+    rooms = [(k, Polygon(room.polygon)) for k, room in enumerate(scene.rooms) if room.polygon is not None]
+    assert len(rooms) > 2
+    floor = scene.rooms[0].floor_y
+    corners = np.concatenate([room.polygon for room in scene.rooms if room.polygon is not None])
+    flat = np.random.default_rng(3).uniform(corners.min(axis=0), corners.max(axis=0), (4000, 2))
+    points = np.insert(flat, 1, floor, axis=1)
+    exact, inner = lookup(points, floor), lookup(points, floor, inner=True)
+    assert set(inner.tolist()) == {-1, *(k for k, _ in rooms)}
+    beside = np.zeros(len(points), int)
+    for number, found, point in zip(exact.tolist(), inner.tolist(), shapely.points(flat), strict=True):
+        away = min((room.distance(point) for k, room in rooms if k != number), default=math.inf)
+        if away < LOOKUP_CELL / 2:
+            assert found == -1
+            beside[0] += 1
+        elif away > 3 * LOOKUP_CELL:
+            assert found == number
+            beside[1] += 1
+    assert beside[0] > 50
+    assert beside[1] > 1000
+
+
+def test_what_is_known_of_a_cell_s_room_stays_where_a_view_does_not_tell() -> None:
+    depth = np.full((8, 8), 1.5, np.float32)
+    rays = (2 * np.arange(8) + 1 - 8) / 8
+    masks = [np.zeros((60, 60), bool) for _ in range(3)]
+    near, region = np.full((60, 60), np.inf, np.float32), np.full((60, 60), 3, np.int16)
+    for number in (-1, 5):
+        rooms = np.full((8, 8), number, np.int16)
+        chart(
+            depth, rooms, rays, -rays, np.zeros(2), 0.0, 1.25, 0.1, 0.2, 1.0, 1.5, 10.0, masks[0], masks[1],
+            masks[2], near, region,
+        )  # fmt: skip
+        assert set(region.ravel().tolist()) == ({3} if number < 0 else {3, 5})
 
 
 def test_shared_rooms_are_not_looked_for_by_way_of_bedrooms() -> None:
