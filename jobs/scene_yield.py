@@ -83,7 +83,7 @@ def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
     everywhere = {label for label in vocabulary.labels if vocabulary.fit_for_text(label)}
     absence = blocked = 0
     for one in referents:
-        if not one.room.complete or not one.room.asked:
+        if not one.complete or not one.room.asked:
             continue
         elsewhere = everywhere
         if not scene.single_room:

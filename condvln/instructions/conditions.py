@@ -124,7 +124,7 @@ class ConditionPool:
         """
         if not referents.room.asked:
             return cls(None, {})
-        presence = _presence(referents, bits, elsewhere, vocabulary) if referents.room.complete else None
+        presence = _presence(referents, bits, elsewhere, vocabulary) if referents.complete else None
         relations = _relations(referents, bits, vocabulary, asked, alone=alone)
         return cls(presence, {**relations, **_bearings(referents, asked)})
 
@@ -137,7 +137,7 @@ def _presence(
     plausible = bits.plausible.get(room_type, frozenset())
     members: dict[str, list[str]] = {}
     for name, label, fit in zip(referents.arrays.object_ids, labels, referents.nameable, strict=True):
-        if fit and label in varies:
+        if fit and label in varies and label not in referents.fixtures:
             members.setdefault(label, []).append(name)
     true = [Question(label, True, tuple(members[label])) for label in sorted(members)]
     false = [

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.labels import vocabulary
+from condvln.labels.confusion import also_called
 from condvln.labels.roles import Role, labels_with_role
 from condvln.labels.sizes import plausible_sizes
 from condvln.relations.metrics import millimetres
@@ -44,6 +45,7 @@ from schemas.config.constants import (
 __all__ = [
     "SCANS",
     "called_counters",
+    "called_otherwise",
     "called_side_tables",
     "doubles",
     "fallen",
@@ -134,6 +136,17 @@ def called_side_tables(arrays: RoomArrays) -> Bools:
     return np.asarray(_with_role(arrays, "worktop") & short)
 
 
+def called_otherwise(arrays: RoomArrays) -> tuple[frozenset[str], ...]:
+    """Return, for each of n objects, the other labels by which some people would call it: a low vase is a bowl to them.
+    They do not make the names of other objects ambiguous, but prevent the claim that no such thing is there.
+    """
+    sizes = millimetres(arrays.aabb_max) - millimetres(arrays.aabb_min)
+    low = sizes[:, 1] <= sizes[:, [0, 2]].max(axis=1, initial=-np.inf)  # False where the extent is unknown
+    return tuple(
+        also_called(low=flat).get(label, frozenset()) for label, flat in zip(arrays.labels, low.tolist(), strict=True)
+    )
+
+
 def parts(arrays: RoomArrays) -> Bools:
     """Return a mask (n,) of the objects that are parts of other furniture, such as a compartment of a television stand.
     A shelf or a drawer counts as such a part if most of its box is inside the box of a larger object of another kind.
@@ -170,15 +183,22 @@ def mistakable(arrays: RoomArrays) -> Bools:
 
 
 def _is_odd_sized(item: SceneObject) -> bool:
-    """Return whether an object is too small or too large for its label."""
+    """Return whether the size or the shape of an object's box is not one that its label allows."""
     bounds = plausible_sizes().get(item.label)
-    sides = None if item.box is None else item.box[1] - item.box[0]
-    if item.obb is not None:
-        sides = 2.0 * item.obb.half_extents
-    if bounds is None or sides is None:
+    if bounds is None or (item.box is None and item.obb is None):
         return False
-    least, most = (round(1000.0 * bound) for bound in bounds)
-    return not least <= float(millimetres(sides).max()) <= most
+    sides = 2.0 * item.obb.half_extents if item.obb is not None else item.box[1] - item.box[0]  # type: ignore[index]
+    least, most = (round(1000.0 * bound) for bound in (bounds.least, bounds.most))
+    own = millimetres(sides)
+    if not least <= float(own.max()) <= most or float(own.min()) > 1000.0 * bounds.thickness:
+        return True
+    if item.box is None:
+        return False
+    width, height, depth = (millimetres(item.box)[1] - millimetres(item.box)[0]).tolist()
+    if not 1000.0 * bounds.low <= height <= 1000.0 * bounds.high:
+        return True
+    short, long = sorted((width, depth))
+    return long > bounds.ratio * short or (bounds.upright and height < long)
 
 
 def twins(arrays: RoomArrays, rival: Bools, unclear: Bools) -> Bools:

@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.instructions.informative import LabelForm, label_weights
+from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
 from condvln.instructions.stagings import ByConditions, Statement, even_factors
@@ -282,6 +283,7 @@ def _of_room(
     scene_id: str, room: Room, arrays: RoomArrays, elsewhere: set[str], thresholds: Thresholds, anchor_size: float
 ) -> pa.Table:
     here, possible = _seen(arrays), set(arrays.labels)
+    possible = possible.union(*called_otherwise(arrays))
     absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
     parts = [
         _rows(["", *here], "", "", False, [1] * (1 + len(here)), 0),

@@ -25,6 +25,7 @@ from condvln.instructions.borders import NO_BORDER, Border
 from condvln.instructions.likeness import (
     SCANS,
     called_counters,
+    called_otherwise,
     called_side_tables,
     doubles,
     fallen,
@@ -35,6 +36,7 @@ from condvln.instructions.likeness import (
 )
 from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
+from condvln.labels.fixtures import fixtures_of, required_in
 from condvln.labels.roles import labels_with_role
 from condvln.scene import Room, RoomArrays, Scene
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
@@ -129,6 +131,8 @@ class Referents:
     sayable : predicates that a qualifier may use
     blocked : labels whose absence can't be claimed, since an unlabelled object may have them
     unplaced : the blocked labels that an object of unknown extent may have; such an object may be near to anything
+    complete : absence can be claimed: the annotation is complete, as far as can be seen
+    fixtures : labels whose absence can't be claimed, since nearly every such room has them
     """
 
     room: Room
@@ -147,11 +151,15 @@ class Referents:
     open: tuple[frozenset[str], ...]
     blocked: frozenset[str]
     unplaced: frozenset[str]
+    complete: bool
+    fixtures: frozenset[str]
 
     def lacks(self, label: str, vocabulary: Vocabulary) -> bool:
         """Return whether text may claim that the room has no `label`."""
         meant = vocabulary.overlapping(label)
-        return self.room.complete and not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
+        if not self.complete or label in self.fixtures:
+            return False
+        return not meant & self.blocked and meant.isdisjoint(self.arrays.labels)
 
     def decides(self, label: str, vocabulary: Vocabulary) -> bool:
         """Return whether a condition may state "a `label` near …" as false.
@@ -161,7 +169,7 @@ class Referents:
         """
         if label in self.unique_labels:
             return True
-        return self.room.complete and not vocabulary.overlapping(label) & self.unplaced
+        return self.complete and not vocabulary.overlapping(label) & self.unplaced
 
     @cached_property
     def qualifications(self) -> tuple[tuple[Qualification, ...], ...]:
@@ -263,9 +271,13 @@ class Referents:
             nameable &= np.array([not vocabulary.overlapping(x) & border.labels for x in arrays.labels], dtype=bool)
         unclear = np.array([name in border.own for name in arrays.object_ids], dtype=bool)
         nameable &= ~unclear
+        complete, fixtures = room.complete, frozenset[str]()
         if family in SCANS:
             unclear |= mistakable(arrays)
             nameable &= ~unclear
+            fixtures = fixtures_of(room.label)
+            needed = [vocabulary.overlapping(label) for label in sorted(required_in(room.label))]
+            complete = complete and not any(labels.isdisjoint(arrays.labels) for labels in needed)
         rival = meant & seen & seen[:, None]
         np.fill_diagonal(rival, False)
         unique = nameable & ~rival.any(axis=1)
@@ -293,6 +305,8 @@ class Referents:
             open=open_,
             blocked=blocked,
             unplaced=unplaced,
+            complete=complete,
+            fixtures=fixtures,
         )
 
 
@@ -354,6 +368,7 @@ def _nameless(
         like if anything else labels
         for labels, anything, like in zip(found, vague, look_alikes(arrays, vague), strict=True)
     )
+    found = [labels | others for labels, others in zip(found, called_otherwise(arrays), strict=True)]
     placed = tuple(labels if there else none for labels, there in zip(found, known, strict=True))
     unplaced = none.union(*(labels for labels, there in zip(found, known, strict=True) if not there))
     return may_be, placed, none.union(*found), unplaced

@@ -9,16 +9,20 @@ from typing import Literal
 
 __all__ = ["Role", "labels_with_role"]
 
-Role = Literal["desktop", "fixed", "landmark", "part", "portable", "screen", "seat", "surface", "worktop"]
+Role = Literal[
+    "carpet", "desktop", "fixed", "landmark", "low table", "part", "portable", "screen", "seat", "surface", "worktop"
+]
 
 
 @cache
 def labels_with_role(role: Role) -> frozenset[str]:
     """Return the canonical labels of a role, from ``roles.csv``.
 
+    carpet : things that stand on it, or at its edge, form a group
     desktop : stands before a computer's monitor, and so tells it from a television
     fixed : built in or too heavy to move, so that text may use it as an anchor for objects of any size
     landmark : like fixed, if the object is at least `LANDMARK_SIZE` large: a statue, not a figurine
+    low table : things that stand around it form a group
     part : belongs to the furniture that its box is inside of, so that text does not name it there
     portable : often carried about, so that text never uses it as an anchor
     screen : a television or a monitor, which boxes of a scan do not distinguish

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from condvln.relations.comparison import between_facts, closest_facts, size_facts
 from condvln.relations.compass import COMPASS, edge_azimuths, sector_deviation
+from condvln.relations.grouping import in_one_group
 from condvln.relations.holding import Holding, holding_of
 from condvln.relations.metrics import AABB, SPHERE, PairMetrics, millimetres, pair_metrics
 from condvln.relations.pieces import Pieces
@@ -115,6 +116,7 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
             held,
             around,
             holding,
+            in_one_group(arrays),
         ),
         "far from": _far_of(pieces, _far(metrics.used, t)),
         "higher than": _each(pieces, _higher(stacking, t)),
@@ -241,9 +243,9 @@ def _near(s: Stacking, metrics: PairMetrics, radius: F64, surface: F64, t: Thres
     return _fact(true, ground >= t.near_false, when_true, _rising(ground, t.near, t.near_false))
 
 
-def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding) -> _Fact:
+def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding, grouped: Mask) -> _Fact:
     """Return `fact`, which is "near", with its status set to 0 where one object is on or in the other: of such objects
-    people say neither "near" nor "not near".
+    people say neither "near" nor "not near". Of two objects of one group, people do not say "not near".
 
     The contents of a container are found through the container, so text never calls them near to anything.
     """
@@ -251,7 +253,7 @@ def _unheld(fact: _Fact, held: Mask, around: Mask, holding: Holding) -> _Fact:
     boxed = np.asarray((around & holding.container[None, :]).any(axis=1))
     decided = ~(held | held.T)
     true = (status == 1) & decided & ~boxed[:, None] & ~boxed[None, :]
-    return _fact(true, (status == -1) & decided, margin, margin)
+    return _fact(true, (status == -1) & decided & ~grouped, margin, margin)
 
 
 def _far(used: F64, t: Thresholds) -> _Fact:

@@ -11,6 +11,7 @@ import numpy as np
 
 from condvln.verify.containment import FROM_SCANS
 from condvln.verify.surroundings import Thing, footprint_gap, shared_sides
+from condvln.verify.words import Bounds
 from schemas.config.constants import (
     COUNTER_HEIGHT,
     COUNTER_LENGTH,
@@ -100,13 +101,22 @@ def passes_for_another_screen(
     return any(footprint_gap(screen, thing) <= 1000.0 * SCREEN_TO_KEYBOARD for thing in before)
 
 
-def is_odd_sized(thing: Thing, sizes: Mapping[str, tuple[float, float]], family: str) -> bool:
-    """Return whether the longest side of an object in a scan is outside of what `sizes` gives for its label, metres."""
-    if family not in FROM_SCANS or thing.label not in sizes or not thing.sides():
+def is_odd_sized(thing: Thing, sizes: Mapping[str, Bounds], family: str) -> bool:
+    """Return whether an object in a scan has a size or a shape that `sizes` does not allow for its label."""
+    bounds = sizes.get(thing.label)
+    if family not in FROM_SCANS or bounds is None or not thing.sides():
         return False
-    least, most = sizes[thing.label]
-    longest = thing.sides()[-1]
-    return longest < round(least * 1000.0) or longest > round(most * 1000.0)
+    thinnest, *_, longest = thing.sides()
+    if longest < round(bounds["least"] * 1000.0) or longest > round(bounds["most"] * 1000.0):
+        return True
+    if thinnest > bounds["thickness"] * 1000.0:
+        return True
+    if thing.box is None:
+        return False
+    height, (short, long) = thing.box[1][1] - thing.box[0][1], sorted(thing.ground_sides())
+    if height < bounds["low"] * 1000.0 or height > bounds["high"] * 1000.0:
+        return True
+    return long > bounds["ratio"] * short or height < bounds["upright"] * long
 
 
 def is_part(thing: Thing, things: Iterable[Thing], parts: Container[str], named: Container[str]) -> bool:

@@ -132,14 +132,16 @@ class Judge:
 
 
 def _beside_each_other(found: Judgement, subject: Thing, anchor: Thing, room: Surroundings) -> Judgement:
-    """Return the judgement on "near". It is `found`, the judgement by the distances, with two exceptions, which are
-    undecided: one object is on or in the other, or `found` is true and one of the two objects is in a container for
-    storage.
+    """Return the judgement on "near". It is `found`, the judgement by the distances, with three exceptions, which are
+    undecided: one object is on or in the other; `found` is true and one of the two objects is in a container for
+    storage; or `found` is false and the two form a group.
     """
     if room.holds(anchor, subject) or room.holds(subject, anchor):
         return found._replace(verdict=UNDECIDED)
     containers = words().containers
     if found.verdict == TRUE and any(room.is_put_away(thing, containers) for thing in (subject, anchor)):
+        return found._replace(verdict=UNDECIDED)
+    if found.verdict == FALSE and room.forms_a_group(subject, anchor, words().roles):
         return found._replace(verdict=UNDECIDED)
     return found
 

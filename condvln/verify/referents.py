@@ -404,9 +404,9 @@ class SceneReferents:
 
     def _doubt(self, view: RoomView, phrase: Phrase, anchors: Sequence[Thing]) -> str | None:
         """Return why the absence of the object named by `phrase` can't be known, or None if it can. The reason is the
-        id of an incompletely annotated room, or of an unlabelled object that may be the one named.
+        id of an incompletely annotated room, or of an object without or with another label that may be the one named.
         """
-        if not view.room.complete:
+        if not view.is_complete or (view.has_always(phrase.label) and not view.meant(phrase.label)):
             return view.room.room_id
         for thing in view.nameless(phrase.label):
             if phrase.qualifier is None or thing.box is None:

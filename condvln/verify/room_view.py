@@ -70,7 +70,8 @@ class RoomView:
                 labels |= {"side table"}
             alike = (x.label for x in things if anything and self._is_named(x) and looks_like(thing, x))
             self._open[thing.object_id] = frozenset(alike) if anything else labels
-            self._vague[thing.object_id] = labels
+            low = thing.box is not None and thing.box[1][1] - thing.box[0][1] <= max(thing.ground_sides())
+            self._vague[thing.object_id] = labels | meaning.also_called(thing.label, low=low)
         self._fallen = frozenset(thing.object_id for thing in things if has_fallen(thing, room.floor_y))
         roles, self.foreign = meaning.roles, foreign
         self._parts = frozenset(x.object_id for x in things if is_part(x, things, roles["part"], meaning.nouns))
@@ -151,15 +152,35 @@ class RoomView:
         return (thing for thing in self._all if self._could_call(label, thing))
 
     def nameless(self, label: str) -> list[Thing]:
-        """Return the unlabelled objects that, as far as is known, might have the label `label`."""
+        """Return the objects that might have the label `label`, though theirs is another or none: unlabelled ones, and
+        those that some people would call so.
+        """
         own = self._meaning.meant_by(label)
         return [thing for thing in self._all if own & self._vague[thing.object_id]]
 
     def knows_absence(self, label: str) -> bool:
-        """Return whether absence of `label` can be known: no unlabelled object might have this label, and the
-        annotation is complete.
+        """Return whether absence of `label` can be known: no object of another or no label might have this one, it is
+        no fixture of such rooms, and the annotation is complete.
         """
-        return self.room.complete and not self.nameless(label) and not self.may_be_foreign(label)
+        if not self.is_complete or self.has_always(label):
+            return False
+        return not self.nameless(label) and not self.may_be_foreign(label)
+
+    @cached_property
+    def is_complete(self) -> bool:
+        """Whether the annotation of the room is complete. A scan's room without what its type requires is not."""
+        if not self.room.complete or self._family not in FROM_SCANS:
+            return self.room.complete
+        there = {thing.label for thing in self._all}
+        needed = (label for label, required in self._meaning.fixtures.get(self.label, {}).items() if required)
+        return all(there & self._meaning.meant_by(label) for label in needed)
+
+    def has_always(self, label: str) -> bool:
+        """Return whether nearly every room of this type has a `label`, so that a scan that shows none proves
+        nothing.
+        """
+        fixtures = self._meaning.fixtures
+        return self._family in FROM_SCANS and (label in fixtures[""] or label in fixtures.get(self.label, {}))
 
     def only(self, label: str) -> Thing | None:
         """Return the object with this label if no other visible object could be meant, else None."""

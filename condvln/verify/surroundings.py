@@ -5,13 +5,14 @@ and the distances to other objects.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from condvln.scene import SceneObject
 from schemas.config import Thresholds
+from schemas.config.constants import GROUP_RUG, GROUP_TABLE
 
 __all__ = ["Point", "Said", "Surroundings", "Thing", "box_gap", "footprint_gap", "shared_sides", "whole_mm"]
 
@@ -166,6 +167,20 @@ class Surroundings:
             for x in self._things
             if x.object_id != thing.object_id
         )
+
+    def forms_a_group(self, one: Thing, other: Thing, roles: Mapping[str, Set[str]]) -> bool:
+        """Return whether two objects stand at the same rug, or around the same coffee table."""
+        if one.box is None or other.box is None:
+            return False
+        for role, reach in (("carpet", GROUP_RUG), ("low table", GROUP_TABLE)):
+            for middle in self._things:
+                if middle.label not in roles[role] or middle.box is None:
+                    continue
+                if middle.object_id in (one.object_id, other.object_id):
+                    continue
+                if max(footprint_gap(middle, thing) for thing in (one, other)) <= 1000.0 * reach:
+                    return True
+        return False
 
     def _has(self, outer: Thing, inner: Thing) -> bool:
         if outer.object_id == inner.object_id:

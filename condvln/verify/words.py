@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import combinations
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 if TYPE_CHECKING:
     # Only since Python 3.11.
     from importlib.resources.abc import Traversable  # novm
 
-__all__ = ["Words", "folded", "package_data", "words"]
+__all__ = ["Bounds", "Words", "folded", "package_data", "words"]
 
 SOURCE_OF_FAMILY: Final = {
     "replicacad": "replicacad",
@@ -38,6 +38,12 @@ ANY: Final = "*"
 
 _OBJAVERSE: Final = "obja "
 """Prefix of AI2-THOR's types of Objaverse assets."""
+
+Bounds: TypeAlias = Mapping[str, float]
+"""Bounds of a box, by the names of the columns of ``sizes.csv``; "upright" is the least ratio of height and length."""
+
+_UNBOUNDED: Final = {"least": "0", "most": "inf", "thickness": "inf", "low": "0", "high": "inf", "ratio": "inf"}
+"""The bounds of empty cells."""
 
 _BORDERS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[_#\s]+")
 _COPY_NUMBER: Final = re.compile(r"\s\d+$")
@@ -70,7 +76,9 @@ class Words:
     containers : kind by label: ``shut`` (a door or lid may hide the contents) or ``open``
     frames : labels of open frames, which one can see through
     roles : labels that are fixed or portable, by the name of the role
-    sizes : by label, the least and the greatest longest side in metres for which a scan's label is trusted
+    fixtures : by room type ("" for all), the labels that nearly every such room has, and whether a room without one is
+        taken to be annotated in part
+    sizes : by label, the bounds of an object's box for which a scan's label is trusted
     """
 
     confusable: Mapping[str, frozenset[str]]
@@ -85,7 +93,9 @@ class Words:
     containers: Mapping[str, str]
     frames: frozenset[str]
     roles: Mapping[str, frozenset[str]]
-    sizes: Mapping[str, tuple[float, float]]
+    fixtures: Mapping[str, Mapping[str, bool]]
+    sizes: Mapping[str, Bounds]
+    _called: Mapping[str, tuple[tuple[str, bool], ...]]
     _labels: Mapping[tuple[str, str], str]
     _room_types: Mapping[tuple[str, str], str]
     _contents: tuple[tuple[str, str, int, str], ...]
@@ -118,6 +128,13 @@ class Words:
         if side is not None:
             found = frozenset(one for one in found if self.objects[one][0] <= side <= self.objects[one][1])
         return found, ANY in written
+
+    def also_called(self, label: str, *, low: bool) -> frozenset[str]:
+        """Return the other labels that some people would use for an object with this label.
+
+        low : the object is no taller than its footprint is long
+        """
+        return frozenset(other for other, only_low in self._called.get(label, ()) if low or not only_low)
 
     def label(self, raw: str, family: str, model: str = "") -> str:
         """Return the canonical label for `raw`, a label as the source writes it; the words of `raw` if the tables don't
@@ -188,7 +205,9 @@ def words() -> Words:
         containers=_containers(labels),
         frames=_frames(labels),
         roles=_roles(),
-        sizes={row["label"]: (float(row["least"]), float(row["most"])) for row in _rows("sizes.csv")},
+        fixtures=_fixtures(),
+        _called=_called(),
+        sizes={row["label"]: _bounds(row) for row in _rows("sizes.csv")},
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),
         _contents=tuple(
@@ -197,6 +216,25 @@ def words() -> Words:
         _by_word=_unambiguous(said),
         _room_by_word=_unambiguous(room_words),
     )
+
+
+def _bounds(row: Mapping[str, str]) -> Bounds:
+    found = {name: float(row[name] or none) for name, none in _UNBOUNDED.items()}
+    return {**found, "upright": float(row["upright"] == "yes")}
+
+
+def _fixtures() -> dict[str, dict[str, bool]]:
+    found: dict[str, dict[str, bool]] = {}
+    for row in _rows("fixtures.csv"):
+        found.setdefault(row["room_type"], {})[row["label"]] = row["required"] == "yes"
+    return found
+
+
+def _called() -> dict[str, tuple[tuple[str, bool], ...]]:
+    found: dict[str, list[tuple[str, bool]]] = {}
+    for row in _rows("confusion.csv"):
+        found.setdefault(row["other"], []).append((row["label"], row["low"] == "yes"))
+    return {other: tuple(labels) for other, labels in found.items()}
 
 
 def _roles() -> dict[str, frozenset[str]]:

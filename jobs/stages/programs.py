@@ -47,7 +47,7 @@ class PriorsAggregate(Aggregate):
     thresholds: Thresholds
     anchor_size: float
     name: str = "priors"
-    version: int = 11
+    version: int = 12
     after: str = "scene"
     tables: tuple[str, ...] = ("rooms", "objects")
 
@@ -74,7 +74,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 44
+    version: int = 45
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

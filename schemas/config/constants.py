@@ -28,7 +28,9 @@ __all__ = [
     "FLOOR_STANDING",
     "FRAME_HEADROOM",
     "FURNITURE_DETOUR",
+    "GROUP_RUG",
     "GROUP_SIZE",
+    "GROUP_TABLE",
     "HANG",
     "HEADING_TOLERANCE",
     "INSIDE_SHARE",
@@ -279,6 +281,12 @@ one thing, metres."""
 
 THIN_SHARE: Final = 0.5
 """Largest ratio of the shorter side of the thin box to that of the other."""
+
+GROUP_RUG: Final = 0.25
+"""Largest distance between the footprints of a rug and of two things for these to form a group, metres."""
+
+GROUP_TABLE: Final = 1.5
+"""The same for a coffee table, metres."""
 
 SIDE_TABLE_LENGTH: Final = 1.0
 """Length of the longer side of a table up to which it may be called a side table, metres."""

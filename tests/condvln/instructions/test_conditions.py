@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from condvln.instructions import LabelPriors
 from condvln.instructions.balance import balanced_weights, jointly_balanced_weights
 from condvln.instructions.conditions import ConditionPool, Question
-from condvln.instructions.likeness import called_side_tables
+from condvln.instructions.likeness import called_otherwise, called_side_tables
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
@@ -161,7 +161,8 @@ def test_what_a_nameless_thing_may_be_is_never_said_to_be_absent(make_scene, fac
                 pool = ConditionPool.of(referents, NO_BITS, vocabulary.labels, vocabulary)
                 may_be = frozenset() if nameless is None else vocabulary.may_be(nameless, "mp3d")
                 tables = {"side table"} if called_side_tables(arrays).any() else set()
-                assert referents.blocked == may_be | tables
+                others = frozenset().union(*called_otherwise(arrays))
+                assert referents.blocked == may_be | tables | others
                 for question in questions_of(pool):
                     open_ = bool(vocabulary.overlapping(question.label) & may_be)
                     asked[nameless or "", open_] += 1

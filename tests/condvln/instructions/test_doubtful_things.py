@@ -19,14 +19,20 @@ from shapely import Polygon
 from shapely import box as rectangle
 
 from condvln.instructions.borders import NO_BORDER, borders, share_inside
+from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.likeness import mistakable, parts, twins
+from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
+from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
+from condvln.labels.confusion import also_called
+from condvln.labels.fixtures import fixtures_of, required_in
 from condvln.relations import relate_room, text_facts
-from condvln.scene import Room, Scene, SceneObject
+from condvln.scene import Room, RoomArrays, Scene, SceneObject
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.referents import Problem, SceneReferents
 from condvln.verify.surfaces import Shapes
+from condvln.verify.words import words
 from schemas.config import Thresholds
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -189,9 +195,9 @@ def room(name: str, label: str, low: tuple[float, float], high: tuple[float, flo
     return Room(name, label, label, 0, floor, floor + 2.5, ring, "dataset", True)
 
 
-KITCHEN = room("kitchen", "kitchen", (-2.0, -2.0), (2.0, 0.97))
-DINING = room("dining", "dining room", (-2.0, 0.8), (2.0, 4.0))
-ABOVE = room("bedroom", "bedroom", (-2.0, -2.0), (2.0, 4.0), floor=2.5)
+KITCHEN = room("kitchen", "garage", (-2.0, -2.0), (2.0, 0.97))
+DINING = room("dining", "library", (-2.0, 0.8), (2.0, 4.0))
+ABOVE = room("bedroom", "classroom", (-2.0, -2.0), (2.0, 4.0), floor=2.5)
 BOWL = replace(thing("bowl", "bowl", (-0.415, 1.04, 0.91), (-0.045, 1.24, 1.23)), room_id="dining")
 
 
@@ -223,9 +229,9 @@ def test_a_thing_on_the_border_of_two_rooms_belongs_to_none(label: str, low: Poi
     assert names["kitchen"].lacks(label, vocabulary) is own
     assert names["bedroom"].lacks(label, vocabulary)
     assert not names["dining"].lacks(label, vocabulary)
-    assert proven(scene, label, "dining room") is own
+    assert proven(scene, label, "library") is own
     assert not borders(replace(scene, family="procthor"))
-    absent = SceneReferents(scene, T, 0.3, Shapes(Path())).claim(Phrase(label, None, Named("kitchen", None)))
+    absent = SceneReferents(scene, T, 0.3, Shapes(Path())).claim(Phrase(label, None, Named("garage", None)))
     assert isinstance(absent, Problem) is not own
 
 
@@ -238,9 +244,9 @@ def test_a_word_that_may_mean_a_thing_on_the_border_is_used_in_neither_room() ->
     found = Referents.of(KITCHEN, arrays, facts, vocabulary, 0.3, "gibson", border=borders(scene)["kitchen"])
     assert [named(found, name) for name in ("own", "sink")] == [False, True]
     assert not found.decides("bowl", vocabulary)
-    assert not proven(scene, "bowl", "kitchen")
-    assert proven(scene, "sink", "kitchen")
-    about = Phrase("bowl", ("near", ("sink",)), Named("kitchen", None))
+    assert not proven(scene, "bowl", "garage")
+    assert proven(scene, "sink", "garage")
+    about = Phrase("bowl", ("near", ("sink",)), Named("garage", None))
     assert isinstance(SceneReferents(scene, T, 0.3, Shapes(Path())).claim(about), Problem)
 
 
@@ -262,3 +268,129 @@ def test_the_share_inside_an_outline_is_that_of_shapely(ring: list[tuple[int, in
     expected = outline.intersection(rectangle(x, z, x + wide, z + deep)).area / (wide * deep)
     low, high = np.array([x, z], dtype=float), np.array([x + wide, z + deep], dtype=float)
     assert share_inside(low, high, np.array(ring, dtype=float)) == pytest.approx(expected, abs=1e-9)
+
+
+SINK = thing("sink", "sink", (1.0, 0.7, 1.0), (1.6, 0.95, 1.5))
+FRIDGE = thing("fridge", "refrigerator", (-2.0, 0.0, -2.0), (-1.3, 1.8, -1.3))
+PLANT = thing("plant", "plant", (0.0, 1.43, 0.0), (0.3, 1.81, 0.3))
+
+
+def claimed_absent(scene: Scene, label: str) -> bool:
+    """Whether the verifier agrees that there is no such thing."""
+    found = SceneReferents(scene, T, 0.3, Shapes(Path())).claim(Phrase(label, None, None))
+    return not isinstance(found, Problem) and not found.truth
+
+
+@pytest.mark.parametrize(
+    ("things", "label", "sure"),
+    [
+        ([FRIDGE, PLANT], "sink", False),  # a kitchen of Gibson whose scan shows four things
+        ([FRIDGE, PLANT], "bowl", False),  # who left out the sink may have left out a bowl
+        ([FRIDGE, SINK, PLANT], "bowl", True),
+        ([FRIDGE, SINK, PLANT], "oven", False),
+        ([FRIDGE, SINK, PLANT], "ceiling lamp", False),
+        ([FRIDGE, SINK, PLANT], "bed", True),
+    ],
+)
+def test_no_scan_shows_that_a_room_lacks_what_every_such_room_has(
+    things: list[SceneObject], label: str, sure: bool
+) -> None:
+    for family in ("gibson", "mp3d", "hm3d"):
+        assert referents(things, family).lacks(label, vocabulary) is sure, family
+        assert claimed_absent(scene_of(family, things), label) is sure, family
+    assert referents(things, "procthor").lacks(label, vocabulary)
+    assert claimed_absent(scene_of("procthor", things), label)
+
+
+def test_conditions_ask_for_no_fixture_of_a_scan_with_either_truth() -> None:
+    """If only the presence of a sink could be asked for, the answer would always be yes."""
+    bits = PriorBits({"kitchen": frozenset(vocabulary.labels)}, {"kitchen": frozenset(vocabulary.labels)}, {})
+    asked = {}
+    for family in ("gibson", "procthor"):
+        pool = ConditionPool.of(referents([FRIDGE, SINK, PLANT], family), bits, ["bed", "oven"], vocabulary).presence
+        assert pool is not None
+        asked[family] = {truth: {q.label for q in questions} for truth, questions in pool.questions.items()}
+    assert asked["gibson"] == {True: {"plant"}, False: {"bed"}}
+    assert asked["procthor"] == {True: {"plant", "refrigerator", "sink"}, False: {"bed", "oven"}}
+
+
+VASE = thing("vase", "vase", (1.78, 0.78, 0.45), (1.93, 0.85, 0.60))  # of a ProcTHOR house: as low as a bowl
+
+
+@pytest.mark.parametrize(("height", "sure"), [(0.07, False), (0.15, False), (0.151, True), (0.4, True)])
+def test_nobody_says_that_there_is_no_bowl_beside_a_vase_as_low_as_a_bowl(height: float, sure: bool) -> None:
+    vase = thing("vase", "vase", (1.78, 0.78, 0.45), (1.93, 0.78 + height, 0.60))
+    found = referents([vase, FRIDGE], "procthor")
+    assert found.lacks("bowl", vocabulary) is sure
+    assert claimed_absent(scene_of("procthor", [vase, FRIDGE]), "bowl") is sure
+    assert named(found, "vase")
+    assert proven(scene_of("procthor", [vase, FRIDGE]), "vase")
+
+
+def test_a_low_vase_is_no_rival_of_a_bowl() -> None:
+    bowl = thing("bowl", "bowl", (0.0, 0.8, 0.0), (0.2, 0.9, 0.2))
+    assert named(referents([VASE, bowl], "procthor"), "bowl")
+    assert proven(scene_of("procthor", [VASE, bowl]), "bowl")
+
+
+def test_an_indefinite_bowl_near_the_fridge_is_not_denied_beside_a_low_vase() -> None:
+    bowls = [thing(f"bowl{k}", "bowl", (3.0 + k, 0.8, 3.0), (3.2 + k, 0.9, 3.2)) for k in range(2)]
+    for close, sure in ((True, False), (False, True)):
+        x = -1.2 if close else 4.5
+        vase = thing("vase", "vase", (x, 0.78, -1.6), (x + 0.15, 0.85, -1.45))
+        things = [*bowls, vase, FRIDGE]
+        (truths,) = (t for t in statement_truths(referents(things, "procthor"), vocabulary) if t.predicate == "near")
+        anchor = [truths.anchor_key(k, referents(things, "procthor").arrays.labels) for k in range(len(truths.anchors))]
+        assert truths.false[truths.labels.index("bowl"), anchor.index("refrigerator")] == sure
+        about = Phrase("bowl", ("near", ("refrigerator",)), None)
+        found = SceneReferents(scene_of("procthor", things), T, 0.3, Shapes(Path())).claim(about)
+        assert isinstance(found, Problem) is not sure
+
+
+def test_both_programs_know_the_same_other_names() -> None:
+    pairs = {
+        (label, other, low)
+        for low in (False, True)
+        for other, labels in also_called(low=low).items()
+        for label in labels
+    }
+    assert len(pairs) > 400
+    for label, other, low in sorted(pairs):
+        assert vocabulary.fit_for_text(label), label
+        assert other in vocabulary.labels, other
+        assert other not in vocabulary.overlapping(label), (label, other)
+        item = thing("a", other, (0, 0, 0), (0.4, 0.3 if low else 0.5, 0.4))
+        assert not referents([item], "procthor").lacks(label, vocabulary), (label, other)
+        assert not claimed_absent(scene_of("procthor", [item]), label), (label, other)
+
+
+def test_fixtures_are_of_known_labels_and_rooms() -> None:
+    assert all(vocabulary.fit_for_text(label) for label in fixtures_of("kitchen") | fixtures_of("no such room"))
+    assert {"sink", "refrigerator"} == required_in("kitchen") < fixtures_of("kitchen")
+    assert not required_in("")
+    for room_type, labels in words().fixtures.items():
+        assert not room_type or room_type in vocabulary.room_labels
+        assert set(labels) <= fixtures_of(room_type)
+        assert {label for label, required in labels.items() if required} == required_in(room_type)
+
+
+# A seating group of ReplicaCAD's staging 08, on one rug: the armchairs are 2.9 m from the sofa.
+COUCH = thing("sofa", "sofa", (-0.555, 0.0, -0.595), (1.595, 0.8, 0.395))
+SEAT = thing("seat", "armchair", (0.38, 0.0, 3.255), (1.18, 0.76, 3.965))
+CARPET = thing("rug", "rug", (-1.06, -0.01, 0.325), (1.58, 0.01, 3.275))
+TABLE = thing("table", "coffee table", (0.085, 0.0, 1.125), (1.335, 0.4, 1.915))
+
+
+@pytest.mark.parametrize(
+    ("middle", "denied"), [((), True), ((CARPET,), False), ((TABLE,), False), ((replace(TABLE, label="table"),), True)]
+)
+def test_in_a_seating_group_nothing_is_said_to_be_not_close(middle: Sequence[SceneObject], denied: bool) -> None:
+    things = [COUCH, SEAT, *middle]
+    arrays = RoomArrays.of("room", things, 0.0)
+    near = text_facts(relate_room(arrays, T), T).status["near"]
+    one, other = arrays.object_ids.index("seat"), arrays.object_ids.index("sofa")
+    assert near[one, other] == near[other, one] == (-1 if denied else 0)
+    things = [replace(item, raw_label=item.label) for item in things]
+    about = Phrase("armchair", ("near", ("sofa",)), None)
+    found = SceneReferents(scene_of("replicacad", things), T, 0.3, Shapes(Path())).claim(about)
+    assert isinstance(found, Problem) is not denied

@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 import pytest
 
 from condvln.instructions import LabelPriors
+from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.priors import PRIORS
 from condvln.labels import vocabulary
 from condvln.scene import Scene
@@ -54,16 +55,17 @@ def test_counts_are_those_of_the_rooms(scenes) -> None:
             room.label,
             {o.label for o in scene.objects if o.room_id == room.room_id},
             {o.label for o in scene.objects if o.room_id != room.room_id},
+            frozenset().union(*called_otherwise(scene.arrays(room.room_id))),
         )
         for scene in scenes
         for room in scene.rooms
     ]
     for room_type in {room.label for room in scenes[0].rooms}:
-        ours = [(here, elsewhere) for label, here, elsewhere in rooms if label == room_type]
+        ours = [row for label, *row in rooms if label == room_type]
         for label in {o.label for o in scenes[0].objects}:
-            with_it = sum(label in here for here, _ in ours)
+            with_it = sum(label in here for here, _, _ in ours)
             words = vocabulary.overlapping(label)
-            lacking = sum(label in elsewhere and not here & words for here, elsewhere in ours)
+            lacking = sum(label in elsewhere and not (here | called) & words for here, elsewhere, called in ours)
             assert bits.counts.get((room_type, label, "", "", False), (0, 0)) == (with_it, lacking)
             assert (label in bits.plausible[room_type]) == (with_it > 0 and 2 * with_it >= len(ours))
             if label in bits.varies[room_type]:

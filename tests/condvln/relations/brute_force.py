@@ -257,6 +257,17 @@ def put_away(a: Box, boxes: Sequence[Box]) -> bool:
     return any(said(a, b) == "in" or mostly_in(a, b) for b in holders)
 
 
+def grouped(a: Box, b: Box, boxes: Sequence[Box]) -> bool:
+    """Both stand within 25 cm of a rug, or within 1.5 m of a coffee table."""
+    for c in boxes:
+        reach = {"rug": 250, "coffee table": 1500}.get(c.label)
+        if reach is None or c.lo is None or c.name in (a.name, b.name):
+            continue
+        if squared(a, c, (0, 2)) <= reach**2 and squared(b, c, (0, 2)) <= reach**2:
+            return True
+    return False
+
+
 def near(a: Box, b: Box, boxes: Sequence[Box], holders: set[tuple[str, str]]) -> int | None:
     """None where the surfaces are within a millimetre of the threshold, where rounding decides."""
     if (a.name, b.name) in holders or (b.name, a.name) in holders:
@@ -266,7 +277,7 @@ def near(a: Box, b: Box, boxes: Sequence[Box], holders: set[tuple[str, str]]) ->
             return 0
         return -1 if math.hypot(a.at[0] - b.at[0], a.at[2] - b.at[2]) - a.radius - b.radius >= 2250 else 0
     if all(squared(p, q, (0, 2)) >= 2250 * 2250 for p in a.pieces for q in b.pieces):
-        return -1
+        return 0 if grouped(a, b, boxes) else -1
     close = any(squared(p, q, (0, 1, 2)) <= 500 * 500 and gap(p, q, 1) <= 250 for p in a.pieces for q in b.pieces)
     if not close or put_away(a, boxes) or put_away(b, boxes):
         return 0

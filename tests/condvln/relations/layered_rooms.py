@@ -42,6 +42,13 @@ def layered_room(rng: np.random.Generator, count: int = 14) -> list[SceneObject]
     return [_said(item, objects, rng) for item in objects]
 
 
+def grouped_room(rng: np.random.Generator) -> list[SceneObject]:
+    """The same with rugs and coffee tables, at which things form groups."""
+    labels = {"bookshelf": "rug", "dresser": "coffee table"}
+    room = [(item, labels.get(item.label, item.label)) for item in layered_room(rng)]
+    return [replace(item, label=label, raw_label=label) for item, label in room]
+
+
 def _said(item: SceneObject, objects: Sequence[SceneObject], rng: np.random.Generator) -> SceneObject:
     """The object with what its source might say of it, be it right or wrong."""
     if rng.random() < 0.7:

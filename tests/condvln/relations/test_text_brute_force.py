@@ -17,7 +17,7 @@ from schemas.config import Thresholds
 
 sys.path.insert(0, str(Path(__file__).parent))
 import brute_force as plain
-from layered_rooms import layered_room
+from layered_rooms import grouped_room, layered_room
 
 T = Thresholds()
 PREDICATES = (
@@ -40,7 +40,7 @@ PREDICATES = (
 def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
     """Every new predicate of every pair and triple of one room."""
     rng = np.random.default_rng(seed)
-    arrays = RoomArrays.of("room", layered_room(rng), 0.0)
+    arrays = RoomArrays.of("room", grouped_room(rng) if seed % 2 else layered_room(rng), 0.0)
     facts = text_facts(relate_room(arrays, T), T)
     boxes = [plain.box_of(item) for item in arrays.objects]
     chain, holders = plain.carried(boxes), plain.held(boxes)
@@ -83,6 +83,9 @@ def check_room(seed: int, tally: Counter[tuple[str, int]]) -> None:
                 centres = plain.beside(a, b, predicate, whole=False)
                 tally["undecided by a footprint", centres] += centres != expected[predicate]
                 tally["denied", int(denied)] += 1
+            if a.lo is not None and b.lo is not None and plain.grouped(a, b, boxes):
+                far = all(plain.squared(p, q, (0, 2)) >= 2250 * 2250 for p in a.pieces for q in b.pieces)
+                tally["far apart in one group", int(far)] += 1
             tally["near, of what holds the other", facts.status["near"][i, j]] += (a.name, b.name) in holders
             for predicate, status in expected.items():
                 if status is None:
@@ -113,6 +116,7 @@ def test_equal_to_plain_loops() -> None:
         for status in (1, 0, -1):
             assert tally[predicate, status], f"no case of {predicate} is {status}"
     assert all(tally["undecided by a footprint", status] for status in (1, -1))
+    assert tally["far apart in one group", 1]
     assert not tally["undecided by a footprint", 0], "a footprint makes no direction true or false"
     for predicate in ("on, of arms", "north-west of, of arms"):
         assert all(tally[predicate, status] for status in (1, 0, -1)), predicate

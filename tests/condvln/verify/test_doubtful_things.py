@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from condvln.instructions import LabelPriors
+from condvln.labels.confusion import also_called
 from condvln.labels.sizes import plausible_sizes
 from condvln.scene import Room, Scene, SceneObject, round_mm
 from condvln.verify.phrases import Named, Phrase
@@ -39,15 +40,37 @@ KINDS = {
     "thin box",
     "small table",
     "odd size",
+    "called otherwise",
+    "incomplete",
 }
+
+
+TYPES = {"kitchen": "garage", "living room": "library", "bedroom": "classroom", "bathroom": "gym"}
+"""Room types that require nothing, in place of those of the made rooms."""
+
+
+def fitted(item: SceneObject) -> SceneObject:
+    """The object with a box that its label allows in a scan."""
+    if item.label not in plausible_sizes():
+        return item
+    bounds = plausible_sizes()[item.label]
+    long = 0.5 * (bounds.least + min(bounds.most, 2.0 * bounds.least))
+    short, height = long / 1.2, min(max(0.5 * long, bounds.low), bounds.high, bounds.thickness)
+    if bounds.upright:
+        long, short, height = 0.5 * long, 0.45 * long, long
+    half = np.array([long, height, short]) / 2.0
+    return boxed(item, item.center - half, item.center + half)
 
 
 def scan(seed: int) -> Scene:
     """A made house as a scan, whose rooms have outlines."""
     made = made_scene(seed, HOUSE, 14)
     things = [replace(o, label=RENAMED.get(o.label, o.label)) for o in made.objects]
-    things = [replace(o, raw_label=o.label) for o in things]
-    rooms = [replace(r, polygon=outline(6.0 * k, 0.0, 6.0 * k + 5.0, 5.0)) for k, r in enumerate(made.rooms)]
+    things = [fitted(replace(o, raw_label=o.label)) for o in things]
+    rooms = [
+        replace(r, label=TYPES[r.label], raw_label=TYPES[r.label], polygon=outline(6.0 * k, 0.0, 6.0 * k + 5.0, 5.0))
+        for k, r in enumerate(made.rooms)
+    ]
     return replace(made, family="gibson", rooms=tuple(rooms), objects=tuple(things))
 
 
@@ -88,6 +111,13 @@ def over(room: Room, item: SceneObject) -> Room:
 
 
 def mutants(scene: Scene, named: Condition | ObjectRef) -> Iterator[tuple[str, Scene]]:
+    if isinstance(named, Condition) and not named.truth and named.qualifier is None:
+        for other in sorted(other for other, labels in also_called(low=False).items() if named.label in labels)[:3]:
+            low = np.array([0.0, 0.0, 0.0])
+            stray = SceneObject("stray", named.room.room_id, other, other, low, aabb=np.array([low, low + 0.3]))
+            yield "called otherwise", put(scene, stray)
+        rooms = (replace(r, complete=r.room_id != named.room.room_id) for r in scene.rooms)
+        yield "incomplete", replace(scene, rooms=tuple(rooms))
     own = [named.object_id] if isinstance(named, ObjectRef) else list(named.witnesses)
     anchors = [] if named.qualifier is None else list(named.qualifier.anchor_ids)
     for name in [*anchors, *(own if len(own) == 1 else ())]:
