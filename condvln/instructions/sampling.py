@@ -275,9 +275,10 @@ class ProgramSampler:
         """Yield rooms and stops for a candidate, again and again until there were as many draws as a candidate may
         take. Draws of stops that fail are added to `rejected`.
         """
+        draw = self.stop_sampler.drawing(shape.composition, shape.moves, used, cap)
         left = self.sampling.draws_per_candidate
         while left > 0:
-            reasons, stops = self.stop_sampler.draw(shape.composition, shape.moves, left, used, cap, draws)
+            reasons, stops = draw(left, draws)
             for reason, count in reasons.items():
                 rejected[reason] += count
             if stops is None:
@@ -332,7 +333,8 @@ class ProgramSampler:
         """Add the conditions of one draw that clashed with others to `rejected`."""
         for sampler in (self.condition_sampler, self._alone):
             if sampler.clashes:
-                rejected.update(sampler.clashes)
+                for rule, count in sampler.clashes.items():
+                    rejected[rule] += count
                 sampler.clashes.clear()
 
     def _group(self, program: Program, draws: Draws) -> Group:
@@ -409,6 +411,8 @@ class ProgramSampler:
         bearings = self.sampling.bearings
         said = {(target.room_id, target.label) for moves in stops for target in moves}
         said |= {(room_id, name.anchor_label) for room_id, name in names.items() if name.anchor_label is not None}
+        one_room = len(names) == 1
+        elsewhere: Collection[str] = ()
         named: dict[str, tuple[ObjectRef, bool]] = {}
         leaves: list[list[ObjectRef]] = []
         for moves in stops:
@@ -418,10 +422,12 @@ class ProgramSampler:
                 if ref is None or (is_bearing and bearings < 2):
                     here = target.room_id == start_room and bearings > 1
                     known = self._names_of(target, names[target.room_id], start=here)
-                    k = known.draw({label for room_id, label in said if room_id != target.room_id}, draws)
+                    if not one_room:
+                        elsewhere = {label for room_id, label in said if room_id != target.room_id}
+                    k = known.draw(elsewhere, draws)
                     ref, is_bearing = named[target.object_id] = known.refs[k], known.bearings[k]
-                    for label in known.anchors[k]:
-                        said.add((target.room_id, label))
+                    if not one_room:
+                        said.update([(target.room_id, label) for label in known.anchors[k]])
                 refs.append(ref)
                 bearings -= is_bearing
             leaves.append(refs)

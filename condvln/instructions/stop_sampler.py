@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -123,17 +122,11 @@ class StopSampler:
         """Return whether a room about which conditions can be asked has targets for so many leaves."""
         return len(self._roomy(leaves, 0)[0]) > 0
 
-    def draw(
-        self,
-        composition: Composition | None,
-        moves: Sequence[int],
-        tries: int,
-        used: Counter[str],
-        cap: float,
-        draws: Draws,
-    ) -> tuple[dict[str, int], DrawnStops | None]:
-        """Draw until the stops fit, at most `tries` times. Return how many tries failed for each reason, and the stops;
-        None if all tries failed.
+    def drawing(
+        self, composition: Composition | None, moves: Sequence[int], used: Mapping[str, int], cap: float
+    ) -> Callable[[int, Draws], tuple[dict[str, int], DrawnStops | None]]:
+        """Return a function that draws until the stops fit. It takes the largest number of tries, and returns how many
+        tries failed for each reason, and the stops; None if all tries failed.
 
         Parameters
         ----------
@@ -144,47 +137,48 @@ class StopSampler:
         """
         n, waypoints = len(moves), max(moves) - 1
         if composition is None or self.kinds < _ROOMS_OF[composition][0]:
-            return {"no_targets": tries}, None
+            return lambda tries, _: ({"no_targets": tries}, None)
         least, most = _ROOMS_OF[composition]
         roomy, roomy_sums = self._roomy(n, waypoints)
         if composition == "C0" and not len(roomy):
-            return {"no_waypoint" if self.roomy(n) else "no_targets": tries}, None
-        goals_with = used.get
-        counts, of_label = (
-            np.array(moves, np.int64),
-            np.array([goals_with(label, 0) for label in self.labels], np.int64),
-        )
+            reason = "no_waypoint" if self.roomy(n) else "no_targets"
+            return lambda tries, _: ({reason: tries}, None)
+        counts = np.array(moves, np.int64)
+        of_label = np.array([used.get(label, 0) for label in self.labels], np.int64)
 
-        def draw(stream: NDArray[np.float64], left: I64) -> tuple[int, list[int], list[int], list[list[int]]]:
-            failures, rooms = np.zeros(len(FAILURES), np.int64), np.zeros(1 + most, np.int64)
-            stops = np.zeros((n, MOST_MOVES), np.int64)
-            failed = draw_stops(
-                tries,
-                counts,
-                least,
-                most,
-                roomy,
-                roomy_sums,
-                of_label,
-                cap,
-                self._room_of,
-                self._tables,
-                stream,
-                left,
-                failures,
-                rooms,
-                stops,
+        def draw(tries: int, draws: Draws) -> tuple[dict[str, int], DrawnStops | None]:
+            def compiled(stream: NDArray[np.float64], left: I64) -> tuple[int, list[int], list[int], list[list[int]]]:
+                failures, rooms = np.zeros(len(FAILURES), np.int64), np.zeros(1 + most, np.int64)
+                stops = np.zeros((n, MOST_MOVES), np.int64)
+                failed = draw_stops(
+                    tries,
+                    counts,
+                    least,
+                    most,
+                    roomy,
+                    roomy_sums,
+                    of_label,
+                    cap,
+                    self._room_of,
+                    self._tables,
+                    stream,
+                    left,
+                    failures,
+                    rooms,
+                    stops,
+                )
+                return failed, failures.tolist(), rooms.tolist(), stops.tolist()
+
+            failed, failures, rooms, stops = draws.compiled(compiled)
+            reasons = {name: k for name, k in zip(FAILURES, failures, strict=True) if k} if failed else {}
+            if failed == tries:
+                return reasons, None
+            leaves = tuple(
+                [tuple([self._targets[k] for k in found[:count]]) for found, count in zip(stops, moves, strict=True)]
             )
-            return failed, failures.tolist(), rooms.tolist(), stops.tolist()
+            return reasons, DrawnStops(tuple([self._room_ids[k] for k in rooms[1 : 1 + rooms[0]]]), leaves)
 
-        failed, failures, rooms, stops = draws.compiled(draw)
-        reasons = {reason: count for reason, count in zip(FAILURES, failures, strict=True) if count} if failed else {}
-        if failed == tries:
-            return reasons, None
-        leaves = tuple(
-            [tuple([self._targets[k] for k in found[:count]]) for found, count in zip(stops, moves, strict=True)]
-        )
-        return reasons, DrawnStops(tuple([self._room_ids[k] for k in rooms[1 : 1 + rooms[0]]]), leaves)
+        return draw
 
     def _roomy(self, leaves: int, waypoints: int) -> tuple[I64, NDArray[np.float64]]:
         """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for

@@ -116,6 +116,7 @@ TECHNICAL = {
         "ROOM_ANCHOR",
         "TAUTOLOGY",
         "TWO_THINGS",
+        "UNKNOWN",
     },
     "instructions/kernels/stops.py": {
         "LABEL_OVER_CAP",

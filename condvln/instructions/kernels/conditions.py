@@ -19,6 +19,9 @@ Bools = npt.NDArray[np.bool_]
 NOTHING: Final = -1
 """In place of a number: there is no anchor, no statements of presence, no rule that is violated."""
 
+UNKNOWN: Final = -2
+"""In place of a rule: it is not known yet whether one is violated."""
+
 TAUTOLOGY: Final = 0
 CIRCULAR: Final = 1
 NAMES_STOP: Final = 2
@@ -236,8 +239,10 @@ def draw_conditions(
     drawn : (t, 3), set to the index in `rooms`, the pool and the place of each statement
     """
     claims = np.empty((len(truths) + 1, PRESENCE + 1), np.int64)
+    rules = np.empty(len(tables.labels), np.int8)  # of each statement, once it was drawn
     for k in range(len(truths)):
         found = False
+        rules[:] = UNKNOWN
         for _ in range(attempts):
             r = cumulative(room_sums, 0, len(rooms), stream, left)
             room = rooms[r, 0]
@@ -249,12 +254,13 @@ def draw_conditions(
                 found = False
                 for _again in range(attempts):
                     place = cumulative(tables.sums, begin, end, stream, left)
-                    _claim(claims, k, room, rooms[r, 1], pool, place, tables)
-                    rule = clash(claims, k, given, tables.overlap)
-                    if rule < 0:
+                    if rules[place] == UNKNOWN:
+                        _claim(claims, k, room, rooms[r, 1], pool, place, tables)
+                        rules[place] = clash(claims, k, given, tables.overlap)
+                    if rules[place] == NOTHING:
                         found = True
                         break
-                    clashes[rule] += 1
+                    clashes[rules[place]] += 1
                 if not found:
                     break
                 if truths[k] == (turn == 0):
