@@ -61,14 +61,15 @@ def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove,
 
 def test_automated_graphs_are_asked_about_what_is_there(real_data: Path, facts_maker, prove) -> None:
     """In their rooms a direction has one truth: only all directions together have both. (In Allensville nothing is left
-    to ask once things of odd sizes, such as a book of a metre, are nameless.)
+    to ask once things of odd sizes, such as a book of a metre, are nameless; in Oyens little is, since its books are
+    0.2 m thick.)
     """
     if not (real_data / "gibson").is_dir():
         pytest.skip(f"no gibson in {real_data}")
     scene = open_source("gibson", real_data / "gibson", absence="never").read("automated/Oyens")
     facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
     programs = list(made_sampler(scene, facts, bits, per_category={"simple": 12}).candidates("simple"))
-    assert len(programs) >= 16
+    assert len(programs) >= 5
     assert len({program.conditions[0].truth for program in programs}) == 2
     for program in programs:
         prove(program, scene, facts)

@@ -76,7 +76,7 @@ def test_numbers_of_moves_are_the_mix_to_be_drawn(sampled) -> None:
     leaves = [(len(p.leaves), len(leaf.moves)) for _, _, _, programs in sampled for p in programs for leaf in p.leaves]
     for four, shares in ((False, [0.27, 0.39, 0.34]), (True, [0.5, 0.5, 0.0])):
         moves = Counter(n for count, n in leaves if (count == 4) == four)
-        assert [moves[k] / moves.total() for k in (1, 2, 3)] == pytest.approx(shares, abs=0.04)
+        assert [moves[k] / moves.total() for k in (1, 2, 3)] == pytest.approx(shares, abs=0.05)
 
 
 def test_counterfactual_groups_have_the_asked_numbers_of_moves(sampled) -> None:
@@ -129,7 +129,7 @@ def test_what_names_a_room_is_named_for_nothing_else(sampled) -> None:
             said = [label for _, label in named_in(program)]
             assert all(sum(label in words for label in said) == tally(program, words) for words in tags)
             tagged += bool(tags)
-    assert tagged > 10, "the made houses have two bedrooms"
+    assert tagged > 5, "the made houses have two bedrooms"
 
 
 def tally(program: Program, words: frozenset[str]) -> int:
