@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from rich.console import Console
 
+from condvln.formats.figure_file import write_figure
 from condvln.navigation.navmesh_file import read_navmesh, write_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.settings import NavMeshSettings
@@ -127,5 +128,5 @@ def picture(path: Path, out: Path) -> Report:
     axes.set_xlabel("x, metres (east →)")
     axes.set_ylabel("z, metres (north ↑)")
     axes.set_title(f"{path.name} · {len(corners)} polygons · {pathfinder.navigable_area:.1f} m²")
-    figure.savefig(out, dpi=120)
+    write_figure(figure, out, dpi=120)
     return Report({"picture": str(out)}, [f"drawn to {out}"])

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import duckdb
 
+from condvln.formats.streams import atomic_path
 from jobs.named_queries import QUERIES, VIEWS
 from jobs.report import Report, Section
 from jobs.target import Target
@@ -134,21 +135,21 @@ def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
             f"{out.suffix!r} is not a format of query results", where=out, remedy=f"Write to {', '.join(_WRITERS)}."
         )
     table = result.to_arrow_table()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if kind == "PARQUET":
-        pa.parquet.write_table(table, out, compression="zstd")
-    elif kind == "CSV":
-        try:
-            pa.csv.write_csv(table, out)
-        except pa.ArrowException as error:
-            raise UsageError(f"CSV holds no nested columns: {error}", where=out, remedy="Write Parquet.") from None
-    else:
-        import json
+    with atomic_path(out) as part:
+        if kind == "PARQUET":
+            pa.parquet.write_table(table, part, compression="zstd")
+        elif kind == "CSV":
+            try:
+                pa.csv.write_csv(table, part)
+            except pa.ArrowException as error:
+                raise UsageError(f"CSV holds no nested columns: {error}", where=out, remedy="Write Parquet.") from None
+        else:
+            import json
 
-        with open(out, "w", encoding="utf-8") as handle:
-            for batch in table.to_batches():
-                for row in batch.to_pylist():
-                    handle.write(json.dumps(row, ensure_ascii=False, default=str) + "\n")
+            with part.open("w", encoding="utf-8") as handle:
+                for batch in table.to_batches():
+                    for row in batch.to_pylist():
+                        handle.write(json.dumps(row, ensure_ascii=False, default=str) + "\n")
     return Report({"rows": table.num_rows, "out": str(out)}, [f"{table.num_rows} rows in {out}"])
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.picture_labels import Label, place_labels
+from condvln.formats.figure_file import write_figure
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
 from condvln.scene import Scene, SceneObject
@@ -123,7 +124,7 @@ def draw_episode(
         ends = [stop["position"] for stop in leaf["subgoals"]] + [leaf["reference_path"][-1]]
         marks += [(end["x"], end["z"], MARK) for end in ends]
     place_labels(plan, [*_labels(scene, episode, program, roles)], marks)
-    figure.savefig(path, dpi=110)
+    write_figure(figure, path, dpi=110)
 
 
 def wall_lines(scene: Scene, geometry: SceneGeometry | None) -> F64:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 
 from condvln.evaluation.aggregate import by_axis
 from condvln.evaluation.evaluate import Evaluation
-from condvln.formats.streams import atomic_stream
+from condvln.formats.figure_file import write_figure
 from schemas.errors import UsageError
 
 __all__ = ["SHOWN", "axis_figure", "save_figures"]
@@ -87,9 +86,6 @@ def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int =
         figure = axis_figure(evaluations, axis, seed=seed)
         for suffix, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None, "Producer": None})):
             path = folder / f"{axis}.{suffix}"
-            drawn = io.BytesIO()
-            figure.savefig(drawn, format=suffix, dpi=150, metadata=metadata)
-            with atomic_stream(path) as stream:
-                stream.write(drawn.getvalue())
+            write_figure(figure, path, dpi=150, metadata=metadata)
             written.append(path)
     return written

@@ -26,6 +26,7 @@ __all__ = [
     "ByteStream",
     "JsonArrayStream",
     "atomic_copy",
+    "atomic_path",
     "atomic_stream",
     "read_unpacked",
     "sync",
@@ -123,6 +124,33 @@ def atomic_stream(path: Path, level: int = GZIP_LEVEL, *, closing: bytes = b"") 
         raise
 
 
+@contextmanager
+def atomic_path(path: Path, *, durable: bool = True) -> Iterator[Path]:
+    """Return a context manager of a temporary path, for what writes a file by its name. The file becomes ``path`` if
+    the block succeeds, and is removed if it fails.
+
+    ``durable`` : whether the file is flushed to disk, so that it outlasts a power cut
+
+    Raises
+    ------
+    StoreError : the file can't be written (disk full, read-only, no such folder)
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with _refusals(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield part
+            if durable:
+                sync(part)
+            os.replace(part, path)
+            if durable:
+                sync(path.parent)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink()
+        raise
+
+
 def atomic_copy(source: Path, path: Path) -> None:
     """Copy a file atomically: ``path`` is complete or does not exist.
 
@@ -130,18 +158,8 @@ def atomic_copy(source: Path, path: Path) -> None:
     ------
     StoreError : the file can't be written
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with _refusals(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, part)
-            sync(part)
-            os.replace(part, path)
-            sync(path.parent)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
+    with atomic_path(path) as part:
+        shutil.copyfile(source, part)
 
 
 def sync(path: Path) -> None:
@@ -164,7 +182,7 @@ def _refusals(path: Path) -> Iterator[None]:
         raise StoreError(
             f"can't be written: {error.strerror or error}",
             where=path,
-            remedy="Free some space or choose another export folder, then export again; nothing half-written is left",
+            remedy="Free some space or choose another folder, then run the command again; nothing half-written is left",
         ) from error
 
 

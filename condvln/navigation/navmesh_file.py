@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from condvln.formats.streams import atomic_stream
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import (
     BV_NODE,
@@ -166,8 +167,9 @@ def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
 
 
 def write_navmesh(path: str | os.PathLike[str], navmesh: NavMeshFile) -> None:
-    """Write ``navmesh`` to ``path``."""
-    Path(path).write_bytes(navmesh.to_bytes())
+    """Write ``navmesh`` to ``path``, whole or not at all. Raises StoreError if it can't be written."""
+    with atomic_stream(Path(path)) as stream:
+        stream.write(navmesh.to_bytes())
 
 
 def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> NavMeshFile:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from condvln.formats.streams import atomic_path
 from condvln.samples.ai2thor_hab import HOUSES, SCENES, ai2thor_hab_files
 from condvln.samples.apartment import make_layout
 from condvln.samples.floor_mesh import NavmeshEngine
@@ -142,8 +143,8 @@ def _write(
             raise UsageError("the folder holds another dataset", where=file, remedy="Give an empty or a new folder.")
     for file, content in files.items():
         if file not in there:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
+            with atomic_path(file, durable=False) as part:
+                part.write_bytes(content)
     joined = form == HABITAT_PROCTHOR
     return SampleReport(
         folder=folder,

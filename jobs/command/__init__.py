@@ -75,9 +75,10 @@ def main() -> None:
         raise SystemExit(error.exit_code) from None
     except OSError as error:
         # A folder that can't be made, a file that may not be written, a full disk: whoever met it, the person can act.
-        if error.filename is None:
+        if error.errno is None:
             raise
-        told = f"condvln: {error.filename}: {error.strerror}. Check the path, its permissions and the room on the disk."
+        place = "" if error.filename is None else f"{error.filename}: "
+        told = f"condvln: {place}{error.strerror}. Check the path, its permissions and the room on the disk."
         Console(stderr=True, highlight=False, soft_wrap=True).print(told, markup=False)
         raise SystemExit(1) from None
     except SystemExit as stop:
