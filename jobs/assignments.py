@@ -9,6 +9,7 @@ import yaml
 from pydantic import ValidationError
 
 from jobs.config_faults import config_error
+from jobs.yaml_file import NOT_YAML
 from schemas.config.section import Section
 from schemas.errors import ConfigError
 
@@ -59,8 +60,9 @@ def yaml_value(text: str, origin: str) -> Any:
     """
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        problem = getattr(error, "problem", None) or "it is nested too deeply"
+    except NOT_YAML as error:
+        deep = isinstance(error, RecursionError)
+        problem = "it is nested too deeply" if deep else getattr(error, "problem", None) or error
         raise ConfigError(
             f"{origin}: the value is not YAML: {problem}", remedy='Put text with special characters in quotes: "…"'
         ) from None

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import orjson
-import yaml
 from pydantic import ValidationError
 from rich.console import Console
 
@@ -35,6 +34,7 @@ from jobs.looker import datasets_of
 from jobs.pipeline import build_pipeline, code_versions, list_units
 from jobs.report import Report, Section
 from jobs.workspace import file_hashes, hasher, published
+from jobs.yaml_file import read_yaml
 from schemas.benchmark import (
     BenchmarkCell,
     BenchmarkFile,
@@ -45,6 +45,7 @@ from schemas.benchmark import (
 )
 from schemas.config import Config
 from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
+from schemas.first_fault import first_fault
 
 __all__ = ["RECORD", "Benchmark", "build_benchmark", "check_benchmark", "read_record"]
 
@@ -81,9 +82,7 @@ class Benchmark:
         if not path.is_file():
             raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark-v1.yaml.")
         try:
-            file = BenchmarkFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigError(f"not a benchmark file: {error}", where=path, remedy=_REMEDY) from None
+            file = BenchmarkFile.model_validate(read_yaml(path, "configs/benchmark-v1.yaml"))
         except ValidationError as error:
             first = error.errors()[0]
             raise ConfigError(
@@ -290,7 +289,7 @@ def read_record(path: Path) -> BenchmarkRecord:
         raise MissingFileError("there is no such record", where=file, remedy="Run condvln benchmark build.") from None
     except ValidationError as error:
         raise FormatError(
-            f"not the record of a benchmark: {error.errors()[0]['msg']}",
+            f"not the record of a benchmark: {first_fault(error)}",
             where=file,
             remedy="Take the record from the benchmark's release.",
         ) from None

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import yaml
 from pydantic import ValidationError
 
 from factory.address import open_store
 from jobs.assignments import put, yaml_value
 from jobs.config_faults import config_error
+from jobs.yaml_file import read_yaml
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
 
@@ -20,25 +20,6 @@ __all__ = ["ENVIRONMENT_PREFIX", "load_config"]
 
 ENVIRONMENT_PREFIX: Final = "CONDVLN_"
 """Prefix of variables: ``CONDVLN_RAY__WORKERS=2`` sets ``ray.workers``. Two underscores separate the keys."""
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """SafeLoader that refuses a key that occurs twice; YAML would use the later one without notice."""
-
-
-def _mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-    keys: dict[Any, Any] = {}
-    for key_node, value_node in node.value:
-        key, place = loader.construct_object(key_node, deep=True), f"line {key_node.start_mark.line + 1}"
-        if not isinstance(key, Hashable):
-            raise ConfigError("a list or a mapping is used as a key", place=place, remedy="Write name: value.")
-        if key in keys:
-            raise ConfigError(f"the key {key!r:.60} occurs twice", place=place, remedy="Keep one of them.")
-        keys[key] = loader.construct_object(value_node, deep=True)
-    return keys
-
-
-_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
 
 
 def load_config(
@@ -57,17 +38,7 @@ def load_config(
     """
     if not path.is_file():
         raise ConfigError("no such configuration file", where=path, remedy="Give the path of a YAML file.")
-    try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
-    except ConfigError as error:
-        raise ConfigError(error.what, where=path, place=error.place, remedy=error.remedy) from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise _not_yaml(error, path) from None
-    if not isinstance(data, dict):
-        raise ConfigError("the file holds no keys", where=path, remedy="Start from configs/replicacad.yaml.")
-    strange = next((key for key in data if not isinstance(key, str)), None)
-    if strange is not None:
-        raise ConfigError(f"the key {strange!r:.60} is not text", where=path, remedy="Write name: value.")
+    data = read_yaml(path, "configs/replicacad.yaml")
     for name, value in sorted((os.environ if environment is None else environment).items()):
         keys = name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__")
         # Other CONDVLN_ variables exist (paths of tests and caches); only keys of the configuration count.
@@ -83,22 +54,6 @@ def load_config(
     except ValidationError as error:
         raise config_error(error, path) from None
     return _resolve(config, path.resolve().parent, path, check_roots)
-
-
-def _not_yaml(error: Exception, path: Path) -> ConfigError:
-    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-        mark = error.problem_mark
-        place = f"line {mark.line + 1} column {mark.column + 1}"
-        tab = "\\t" in str(error.problem)
-        remedy = "Indent with blanks, not with tabs." if tab else "Correct the line, or the one before it."
-        return ConfigError(f"the file is not YAML: {error.problem}", where=path, place=place, remedy=remedy)
-    if isinstance(error, RecursionError):
-        return ConfigError("the file is nested too deeply", where=path, remedy="Start from configs/replicacad.yaml.")
-    if isinstance(error, UnicodeDecodeError):
-        return ConfigError(
-            "the file is not UTF-8 text", where=path, place=f"byte {error.start}", remedy="Save it as UTF-8."
-        )
-    return ConfigError(f"the file is not YAML: {error}", where=path, remedy="Start from configs/replicacad.yaml.")
 
 
 def _store(address: Path | str, base: Path, path: Path) -> Path | str:

@@ -18,12 +18,14 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from condvln.formats.parquet_rows import refuse_more_rows_than_bytes
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import FormatError, MissingFileError
+from schemas.first_fault import first_fault
 from schemas.trajectory_tables import STEPS, TRAJECTORY_TABLES
 
 __all__ = ["RECIPE_FILES", "RECORD", "Recipe", "RecipeRecord", "RecipeScene"]
@@ -110,8 +112,10 @@ class Recipe:
             self.record = RecipeRecord.model_validate(orjson.loads(path.read_bytes()))
         except FileNotFoundError:
             raise MissingFileError("the folder holds no recipe", where=folder, remedy=_REMEDY) from None
-        except (ValueError, ValidationError) as error:
-            raise FormatError(f"not a record of trajectories ({error})", where=path, remedy=_REMEDY) from None
+        except ValueError as error:
+            raise FormatError(
+                f"not a record of trajectories ({first_fault(error)})", where=path, remedy=_REMEDY
+            ) from None
         if MAIN not in self.record.cameras:
             raise FormatError(f"the camera {MAIN!r} is missing", where=path, place="cameras", remedy=_REMEDY)
 
@@ -209,6 +213,7 @@ class Recipe:
         path = self.folder / f"{name}.parquet"
         schema = TRAJECTORY_TABLES[name].append(pa.field("source", pa.string(), nullable=False))
         try:
+            refuse_more_rows_than_bytes(path)
             table = pq.read_table(path, **options)
             wanted = pa.schema([schema.field(column) for column in options.get("columns", schema.names)])
             table = table.select(wanted.names).cast(wanted)

@@ -107,8 +107,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     for walk in walks:
         proof.walks += 1
         found = _Walk(walk, entries.get(walk["trajectory"]), world)
-        faults = [*found.faults(owners)]
-        proof.faults += [TrajectoryFault(walk["trajectory"], what) for what in faults]
+        proof.faults += [TrajectoryFault(walk["trajectory"], what) for what in _readable(found.faults(owners))]
     seen: set[str] = set()
     for name, rows in walks_with_poses(folder / "poses.parquet"):
         seen.add(name)
@@ -117,7 +116,7 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
             proof.faults.append(TrajectoryFault(name, "poses.parquet has a walk that trajectories.parquet has not"))
             continue
         frames = _Frames(folder if written else None, walk, rows, cameras, images, world)
-        proof.faults += [TrajectoryFault(name, what) for what in frames.faults(proof)]
+        proof.faults += [TrajectoryFault(name, what) for what in _readable(frames.faults(proof))]
     proof.faults += [TrajectoryFault(name, "the walk has no poses") for name in sorted(set(owners) - seen)]
     if written:
         layouts = prove_layouts(folder, record, walks)
@@ -126,6 +125,14 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     left_out = read_table(folder, "left_out").to_pylist()
     proof.faults += [TrajectoryFault("", what) for what in _unaccounted(world.episodes, images, walks, left_out)]
     return proof
+
+
+def _readable(faults: Iterator[str]) -> Iterator[str]:
+    """Yield faults, and as the last one a value with which no comparison is possible, such as a list without items."""
+    try:
+        yield from faults
+    except (ValueError, TypeError, LookupError, OverflowError) as error:
+        yield f"a value of its rows is damaged ({type(error).__name__}: {error})"
 
 
 def _unaccounted(episodes: Iterable[int], config: Row, walks: Sequence[Row], left_out: Sequence[Row]) -> Iterator[str]:

@@ -14,8 +14,10 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from condvln.formats.image_files import encoders_of
+from condvln.formats.parquet_rows import refuse_more_rows_than_bytes
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import FormatError, MissingFileError
+from schemas.first_fault import first_fault
 from schemas.trajectory_tables import TRAJECTORY_TABLES
 
 __all__ = ["MOST_PNG_LEVEL", "read_annotations", "read_record", "read_table", "walks_with_poses"]
@@ -48,15 +50,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"not a record of trajectories ({_first(error)})", where=path, remedy=_REMEDY) from None
-
-
-def _first(error: Exception) -> str:
-    """Return what is wrong in one line: of a pydantic model, the first value that is wrong."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    fault = error.errors()[0]
-    return ": ".join(filter(None, [".".join(map(str, fault["loc"])), fault["msg"]]))
+        raise FormatError(f"not a record of trajectories ({first_fault(error)})", where=path, remedy=_REMEDY) from None
 
 
 def _camera(name: str, camera: Any) -> dict[str, Any]:
@@ -71,7 +65,7 @@ def _camera(name: str, camera: Any) -> dict[str, Any]:
     try:
         return CameraConfig.model_validate(camera).model_dump(mode="json")
     except ValidationError as error:
-        raise ValueError(f"cameras.{name}: {_first(error)}") from None
+        raise ValueError(f"cameras.{name}: {first_fault(error)}") from None
 
 
 def _config(config: Any) -> dict[str, Any]:
@@ -87,7 +81,7 @@ def _config(config: Any) -> dict[str, Any]:
     try:
         valid = TrajectoryConfig.model_validate(config | {"png_level": MOST_PNG_LEVEL} if high else config)
     except ValidationError as error:
-        raise ValueError(f"config.{_first(error)}") from None
+        raise ValueError(f"config.{first_fault(error)}") from None
     return valid.model_dump(mode="json") | ({"png_level": level} if high else {})
 
 
@@ -111,6 +105,8 @@ def read_annotations(folder: Path) -> list[dict[str, Any]]:
         for entry in found:
             if {"id", "video", "instructions", "actions", "kind"} - entry.keys():
                 raise TypeError("an entry lacks a key")
+            if not isinstance(entry["actions"], list):
+                raise TypeError("the actions of an entry are not a list")
     except FileNotFoundError:
         raise MissingFileError("annotations.json is missing", where=folder, remedy=_REMEDY) from None
     except (ValueError, TypeError, AttributeError) as error:
@@ -121,8 +117,10 @@ def read_annotations(folder: Path) -> list[dict[str, Any]]:
 def read_table(folder: Path, name: str) -> pa.Table:
     path = folder / f"{name}.parquet"
     try:
+        refuse_more_rows_than_bytes(path)
         found = pq.read_table(path)
         _refuse_other_columns(found.schema, name)
+        _refuse_missing_values(found, name)
         return found
     except FileNotFoundError:
         raise MissingFileError(f"{name}.parquet is missing", where=folder, remedy=_REMEDY) from None
@@ -139,14 +137,25 @@ def _refuse_other_columns(found: pa.Schema, name: str) -> None:
             raise ValueError(f"the column {wanted.name} is {found.field(wanted.name).type}, not {wanted.type}")
 
 
+def _refuse_missing_values(table: pa.Table, name: str) -> None:
+    """Raise ValueError if a value of a table is damaged, or one is missing that each row must have."""
+    table.validate(full=True)
+    for field in TRAJECTORY_TABLES[name]:
+        if not field.nullable and table[field.name].null_count:
+            raise ValueError(f"a value of the column {field.name} is missing")
+
+
 def walks_with_poses(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Yield each walk with its poses. Only one row group, which is one scene, is in memory at a time."""
     try:
+        refuse_more_rows_than_bytes(path)
         with pq.ParquetFile(path) as file:
             _refuse_other_columns(file.schema_arrow, "poses")
             for group in range(file.num_row_groups):
                 rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
-                for row in file.read_row_group(group).to_pylist():
+                table = file.read_row_group(group)
+                _refuse_missing_values(table, "poses")
+                for row in table.to_pylist():
                     rows[row["trajectory"]].append(row)
                 yield from rows.items()
     except FileNotFoundError:

@@ -267,6 +267,15 @@ def test_records_that_are_none_are_refused(built: tuple[Path, Any], tmp_path: Pa
     (tmp_path / RECORD).write_text(json.dumps({**record, "version": "v9"}))
     with pytest.raises(UsageError, match="v9"):
         check_benchmark(built[0], tmp_path / RECORD)
+    for text, what in (
+        ("[" * 5000, "nested too deeply"),
+        ("floor: 1\nfloor: 2", "occurs twice"),
+        ("floor: x", "not a bench"),
+    ):
+        (tmp_path / "bench.yaml").write_text(text)
+        with pytest.raises(ConfigError, match=what) as found:
+            Benchmark.read(tmp_path / "bench.yaml")
+        assert "\n" not in str(found.value)
     with pytest.raises(ConfigError, match="no such benchmark file"):
         Benchmark.read(tmp_path / "none.yaml")
 

@@ -77,6 +77,8 @@ def test_a_wrong_key_is_named_with_what_it_must_be(written, wrong) -> None:
         ({}, ["sources.7.root=x"], "there is no entry '7' in a list of 1", "Entries count from 0"),
         ({}, ["store.x=1"], "'store' holds a value, not keys", "Name a key inside a section"),
         ({}, ["seed=" + "[" * 5000], "--set seed: the value is not YAML", "in quotes"),
+        ({}, ["seed=" + "9" * 5000], "--set seed: the value is not YAML: Exceeds the limit", "in quotes"),
+        ({}, ["name=2026-13-01"], "--set name: the value is not YAML: month must be in 1..12", "in quotes"),
         ({"sources": [{"family": "replicacad", "root": "nowhere"}]}, [], "no such folder", "sources.0.root=FOLDER"),
         ({"store": "data"}, [], "store", "a folder of its own"),
         ({"store": "data/../data/store"}, [], "sources.0.root", "a folder of its own"),
@@ -110,6 +112,9 @@ def test_faults_name_the_key_and_what_is_allowed(written, changes, overrides, na
             "line, or the one before it.",
         ),
         ("[" * 5000, "the file is nested too deeply. Start from configs/replicacad.yaml."),
+        ("a: \0", "character 3: the file is not YAML: the character #x00 is not allowed. Remove it."),
+        ("name: 2026-13-01", "a value of the file can't be read: month must be in 1..12. Put text in quotes."),
+        ("name: !!bool maybe", "a value of the file can't be read: 'maybe'. Put text in quotes."),
         ("\udcff", "byte 0: the file is not UTF-8 text. Save it as UTF-8."),
     ],
 )

@@ -19,10 +19,11 @@ import pytest
 from condvln.formats.image_files import png16
 from condvln.trajectories.recipe import Recipe, RecipeRecord
 from condvln.verify.trajectories import _Frames, prove_trajectories
+from condvln.verify.trajectory_files import walks_with_poses
 from jobs.trajectory_recipe import encoder_lines
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import FormatError, MissingFileError
-from schemas.trajectory_tables import TRAJECTORIES
+from schemas.trajectory_tables import TRAJECTORIES, TRAJECTORY_TABLES
 
 CAMERA = CameraConfig(width=8, height=6, hfov=79.0, max_depth=None, normalized=False)
 RECORD: dict[str, Any] = {
@@ -94,6 +95,48 @@ def test_a_column_that_is_missing_or_of_another_type_is_named(
     ]
     pq.write_table(pa.schema(fields).empty_table(), tmp_path / "trajectories.parquet")
     with pytest.raises(FormatError, match=re.escape(what)):
+        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
+
+
+def test_a_value_that_is_missing_is_named(tmp_path: Path) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"images_written": False}))
+    arrays = [pa.nulls(1, field.type) for field in TRAJECTORIES]
+    loose = pa.schema([field.with_nullable(True) for field in TRAJECTORIES])
+    pq.write_table(pa.table(arrays, schema=loose), tmp_path / "trajectories.parquet")
+    with pytest.raises(FormatError, match=r"a value of the column [a-z_]+ is missing"):
+        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
+
+
+def test_rows_that_fill_the_memory_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recipe comes from strangers, and a million equal rows take a kilobyte."""
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"images_written": False}))
+    for name in TRAJECTORY_TABLES:
+        path = tmp_path / f"{name}.parquet"
+        pq.write_table(pa.table({"trajectory": pa.array(["a"] * 1_000_000)}), path)
+        assert path.stat().st_size < 5_000
+
+    def read(*given: object, **named: object) -> None:
+        raise AssertionError("the rows were read")
+
+    monkeypatch.setattr(pq, "read_table", read)
+    monkeypatch.setattr(pq.ParquetFile, "read_row_group", read)
+    for reads in (
+        lambda: prove_trajectories(tmp_path, None),  # type: ignore[arg-type]
+        lambda: next(walks_with_poses(tmp_path / "poses.parquet")),
+        lambda: Recipe(tmp_path).scenes,
+    ):
+        with pytest.raises(FormatError, match="1,000,000 rows in a file of"):
+            reads()
+
+
+@pytest.mark.parametrize("actions", [5, None, {"a": 1}, "0123"])
+def test_actions_that_are_no_list_are_named(actions: object, tmp_path: Path) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD))
+    entry = {"id": 1, "video": "", "instructions": [], "kind": "gold", "actions": actions}
+    (tmp_path / "annotations.json").write_bytes(orjson.dumps([entry]))
+    with pytest.raises(FormatError, match="the actions of an entry are not a list"):
         prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
 
 

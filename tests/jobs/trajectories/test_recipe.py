@@ -162,6 +162,24 @@ def test_a_recipe_alone_is_proven(asked: Request, made: Path, tmp_path: Path) ->
     assert report.document["rendered"] > 1
 
 
+@pytest.mark.parametrize(
+    "values",
+    [{"goals": []}, {"goals": [None]}, {"actions": [0]}, {"executed": [9]}, {"start_position": {"x": None}}],
+    ids=str,
+)
+def test_values_of_walks_that_cant_be_are_faults(
+    values: dict[str, Any], asked: Request, recipe: Path, tmp_path: Path
+) -> None:
+    theirs = tmp_path / "theirs"
+    shutil.copytree(recipe, theirs)
+    record_with(images_written=False)(theirs)
+    rewrite(theirs, "trajectories", lambda found: found[0].update(values))
+    report = proven(asked, theirs, render_every=0)
+    name = rows(theirs, "trajectories")[0]["trajectory"]
+    assert report.exit_code == 3
+    assert any(fault["trajectory"] == name for fault in report.as_json()["faults"])
+
+
 def test_images_of_licensed_scans_are_refused(asked: Request, recipe: Path, tmp_path: Path) -> None:
     assert {name for name, family in FAMILIES.items() if family.licensed} == {"gibson", "hm3d", "mp3d"}
     with pytest.raises(UsageError, match=r"Gibson and 3D Scene Graph and Matterport3D.*--licensed"):
