@@ -131,7 +131,7 @@ def scan(cut_at: float, *, gap: float = 0.0, raise_by: float = 0.0, level: int =
     """A refrigerator 0.8 m long over the border of two regions, cut at x = `cut_at`, and a chair."""
     floors = (np.array([[-4, -2], [0, -2], [0, 2], [-4, 2]]), np.array([[0, -2], [4, -2], [4, 2], [0, 2]]))
     rooms = tuple(
-        Room(f"r{k}", "k", "kitchen", level * k, 0.0, 2.5, floor.astype(float), "dataset", True)
+        Room(f"r{k}", "g", "garage", level * k, 0.0, 2.5, floor.astype(float), "dataset", True)
         for k, floor in enumerate(floors)
     )
 
@@ -169,7 +169,7 @@ def test_a_text_about_a_piece_is_not_proven() -> None:
 
     whole = scan(0.0)
     referents = SceneReferents(whole, Thresholds(), 0.3, Shapes(Path()))
-    found = referents.thing(Phrase("chair", None, Named("kitchen", "chair")))
+    found = referents.thing(Phrase("chair", None, Named("garage", "chair")))
     assert not hasattr(found, "fact"), found
-    pieces = referents.thing(Phrase("refrigerator", None, Named("kitchen", "chair")))
+    pieces = referents.thing(Phrase("refrigerator", None, Named("garage", "chair")))
     assert getattr(pieces, "fact", None) == "whole_object"
