@@ -129,8 +129,9 @@ class Referents:
     may_be (n,) : for each object whose label is uncertain but one of a few, the other labels that it may have
     open (n,) : for each object of known extent, the other labels that it may have, even if it could be anything
     sayable : predicates that a qualifier may use
-    blocked : labels whose absence can't be claimed, since an unlabelled object may have them
-    unplaced : the blocked labels that an object of unknown extent may have; such an object may be near to anything
+    blocked : labels whose absence can't be claimed, since an unlabelled object may have them, or people may call
+        another thing so
+    unplaced : labels that an unlabelled object of unknown extent may have; such an object may be near to anything
     complete : absence can be claimed: the annotation is complete, as far as can be seen
     fixtures : labels whose absence can't be claimed, since nearly every such room has them
     """
@@ -368,10 +369,13 @@ def _nameless(
         like if anything else labels
         for labels, anything, like in zip(found, vague, look_alikes(arrays, vague), strict=True)
     )
-    found = [labels | others for labels, others in zip(found, called_otherwise(arrays), strict=True)]
+    called = called_otherwise(arrays)
+    if family in SCANS:
+        # In other families this would leave open a third of the statements about stagings (decision 27).
+        found = [labels | others for labels, others in zip(found, called, strict=True)]
     placed = tuple(labels if there else none for labels, there in zip(found, known, strict=True))
     unplaced = none.union(*(labels for labels, there in zip(found, known, strict=True) if not there))
-    return may_be, placed, none.union(*found), unplaced
+    return may_be, placed, none.union(*found, *called), unplaced
 
 
 def _suits(sizes: NDArray[np.float64], fixed: Bools) -> Bools:

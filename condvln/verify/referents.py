@@ -408,6 +408,8 @@ class SceneReferents:
         """
         if not view.is_complete or (view.has_always(phrase.label) and not view.meant(phrase.label)):
             return view.room.room_id
+        if phrase.qualifier is None and (others := view.confused(phrase.label)):
+            return others[0].object_id
         for thing in view.nameless(phrase.label):
             if phrase.qualifier is None or thing.box is None:
                 return thing.object_id

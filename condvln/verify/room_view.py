@@ -62,6 +62,7 @@ class RoomView:
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
         self._vague: dict[str, frozenset[str]] = {}
+        self._confused: dict[str, frozenset[str]] = {}
         for thing in things:
             labels, anything = meaning.may_be(thing.label, family, longest_side(thing))
             if passes_for_a_counter(thing, meaning.roles["worktop"], things, room.floor_y):
@@ -71,7 +72,8 @@ class RoomView:
             alike = (x.label for x in things if anything and self._is_named(x) and looks_like(thing, x))
             self._open[thing.object_id] = frozenset(alike) if anything else labels
             low = thing.box is not None and thing.box[1][1] - thing.box[0][1] <= max(thing.ground_sides())
-            self._vague[thing.object_id] = labels | meaning.also_called(thing.label, low=low)
+            self._vague[thing.object_id] = labels
+            self._confused[thing.object_id] = meaning.also_called(thing.label, low=low)
         self._fallen = frozenset(thing.object_id for thing in things if has_fallen(thing, room.floor_y))
         roles, self.foreign = meaning.roles, foreign
         self._parts = frozenset(x.object_id for x in things if is_part(x, things, roles["part"], meaning.nouns))
@@ -152,17 +154,23 @@ class RoomView:
         return (thing for thing in self._all if self._could_call(label, thing))
 
     def nameless(self, label: str) -> list[Thing]:
-        """Return the objects that might have the label `label`, though theirs is another or none: unlabelled ones, and
-        those that some people would call so.
+        """Return the unlabelled objects that, as far as is known, might have the label `label`; in a scan, those too
+        that some people would call so.
         """
         own = self._meaning.meant_by(label)
-        return [thing for thing in self._all if own & self._vague[thing.object_id]]
+        others = self.confused(label) if self._family in FROM_SCANS else ()
+        return [thing for thing in self._all if own & self._vague[thing.object_id] or thing in others]
+
+    def confused(self, label: str) -> list[Thing]:
+        """Return the objects with another label that some people would call `label`."""
+        own = self._meaning.meant_by(label)
+        return [thing for thing in self._all if own & self._confused[thing.object_id]]
 
     def knows_absence(self, label: str) -> bool:
-        """Return whether absence of `label` can be known: no object of another or no label might have this one, it is
-        no fixture of such rooms, and the annotation is complete.
+        """Return whether absence of `label` can be known: no unlabelled object might have this label, nobody would call
+        another object so, it is no fixture of such rooms, and the annotation is complete.
         """
-        if not self.is_complete or self.has_always(label):
+        if not self.is_complete or self.has_always(label) or self.confused(label):
             return False
         return not self.nameless(label) and not self.may_be_foreign(label)
 

@@ -74,7 +74,7 @@ class ProgramStage(Stage):
     preamble: bool
     seed: int
     name: str = "programs"
-    version: int = 45
+    version: int = 46
     tables: tuple[str, ...] = ("stops", "candidates", "rejections")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

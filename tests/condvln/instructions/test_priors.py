@@ -5,15 +5,21 @@ from __future__ import annotations
 import random
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pyarrow.compute as pc
 import pytest
 
 from condvln.instructions import LabelPriors
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.priors import PRIORS
+from condvln.instructions.referents import Referents
+from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
-from condvln.scene import Scene
+from condvln.labels.confusion import also_called
+from condvln.relations import relate_room, text_facts
+from condvln.scene import Room, Scene, SceneObject, round_mm
 from condvln.scene.tables import scene_tables
 from schemas.config import SamplingConfig, Thresholds
 from schemas.config.constants import EVIDENCE, STAGINGS
@@ -164,3 +170,38 @@ def test_what_is_counted_is_what_these_thresholds_let_be_asked(scenes) -> None:
     assert near(wide) < near(stock), "fewer are surely near"
     assert near(wide)[1] < near(stock)[1], "fewer are surely apart"
     assert not LabelPriors.of_scene(scene, stock, 3.0).table().equals(LabelPriors.of_scene(scene, stock, 0.3).table())
+
+
+def test_statements_about_what_people_confuse_are_counted_as_they_are_drawn() -> None:
+    """If a bench by the bed left open whether an ottoman is by it, and priors counted that as false, the factors over
+    stagings would even out statements that are never drawn.
+    """
+    assert "ottoman" in also_called(low=False)["bench"]
+    places = {"ottoman": [(0.0, 0.0), (6.0, 6.0)], "bench": [(3.2, 3.0)], "bed": [(3.0, 4.0)], "desk": [(6.0, 0.5)]}
+    objects = []
+    for label, spots in places.items():
+        for number, (x, z) in enumerate(spots):
+            box = round_mm(np.array([[x - 0.4, 0.0, z - 0.4], [x + 0.4, 0.9, z + 0.4]]))
+            name = f"{label}:{number}"
+            objects.append(SceneObject(name, "r0", label, label, round_mm(box.mean(axis=0)), aabb=box))
+    room = Room("r0", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True)
+    name = "v3_sc0_staging_00"
+    scene = Scene(family="replicacad", scene_id=name, root=Path("."), rooms=(room,), objects=tuple(objects))
+    arrays, size = scene.arrays("r0"), SamplingConfig().anchor_size
+    facts = text_facts(relate_room(arrays, Thresholds()), Thresholds())
+    drawn = Referents.of(room, arrays, facts, vocabulary, size, "replicacad")
+    told = {
+        ("apartment", truths.labels[row], truths.predicate, truths.anchor_key(column, arrays.labels), truth)
+        for truths in statement_truths(drawn, vocabulary)
+        for truth, table in ((True, truths.true), (False, truths.false))
+        for row, column in np.argwhere(table)
+    }
+    rows = [row for row in counted(scene).table().to_pylist() if row["predicate"]]
+    found = {
+        (row["room_type"], row["label"], row["predicate"], row["anchor"], truth)
+        for row in rows
+        for truth, number in ((True, row["n_true"]), (False, row["n_false"]))
+        if number
+    }
+    assert found == told
+    assert ("apartment", "ottoman", "near", "bed", False) in told
