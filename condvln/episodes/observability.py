@@ -106,7 +106,7 @@ class Observer:
         self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
         # What the level camera of the first view sees of things if it turns through 360°. The floor at the agent's feet
         # has no limit, since nothing can be there.
-        self._around = {
+        self.around = {
             "object": View(range=places.sight_range, pitch=FIRST_VIEW_DEGREES / 2),
             "floor": View(range=places.sight_range),
         }
@@ -202,7 +202,7 @@ class Observer:
             target = self.target(name)
             if target is None:
                 continue
-            seen = self._view.seen(np.array(list(places_of.values())), target, self._around[name[0]])
+            seen = self._view.seen(np.array(list(places_of.values())), target, self.around[name[0]])
             self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
 
     def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:

@@ -111,7 +111,6 @@ class _Search:
         self._follower, self._pathfinder = Follower(pathfinder), pathfinder
         self._start, self._first = np.array(episode.start_position, np.float64), heading_of(episode.start_rotation)
         self._eye_height, self._rules, self._most = places.eye_height, rules, episode.max_steps
-        self._around = View(range=places.sight_range)
         self._ahead = View(range=places.sight_range, horizontal_fov=look_angle)
         self._seen: dict[SightNeed, tuple[int, Bools]] = {}
         self.actions: list[int] = []
@@ -140,7 +139,7 @@ class _Search:
         for _ in range(_VISITS):
             if self._known(need, target):
                 return True
-            here = self._visible(target, self.place[None])[0] & ~self._so_far(need, target)
+            here = self._visible(need, target, self.place[None])[0] & ~self._so_far(need, target)
             if here.any():
                 self._face(need, target, here, number)
                 if self._known(need, target):
@@ -176,16 +175,16 @@ class _Search:
         least = self._least(need)
         if need[0] == "floor":
             found, costs = self._reachable(self._candidates(need, target))
-            new = self._share(target, found, ~self._so_far(need, target))
+            new = self._share(need, target, found, ~self._so_far(need, target))
             worth = new / (1.0 + costs)
             return found[int(np.argmax(worth))] if len(worth) and worth.max() > 0 else None
         every = np.ones(len(target.samples), bool)
         path = self._path(target.samples.mean(axis=0))
-        enough = self._share(target, path, every) >= least
+        enough = self._share(need, target, path, every) >= least
         if enough.any():
             return np.asarray(path[int(np.argmax(enough))])
         found, costs = self._reachable(self._candidates(need, target))
-        costs = np.where(self._share(target, found, every) >= least, costs, np.inf)
+        costs = np.where(self._share(need, target, found, every) >= least, costs, np.inf)
         return found[int(np.argmin(costs))] if np.isfinite(costs).any() else None
 
     def _candidates(self, need: SightNeed, target: SightTarget) -> F64:
@@ -222,16 +221,16 @@ class _Search:
         at = np.arange(2 * _SPACING, length[-1], _SPACING)
         return np.column_stack([np.interp(at, length, corners[:, axis]) for axis in range(3)]).reshape(-1, 3)
 
-    def _share(self, target: SightTarget, places: F64, wanted: Bools) -> F64:
+    def _share(self, need: SightNeed, target: SightTarget, places: F64, wanted: Bools) -> F64:
         """Return for each place (n,) the share of the samples of a target that are both `wanted` and visible from the
         place.
         """
         if not len(places):
             return np.zeros(0)
-        return np.asarray((self._visible(target, places) & wanted).mean(axis=1))
+        return np.asarray((self._visible(need, target, places) & wanted).mean(axis=1))
 
-    def _visible(self, target: SightTarget, places: F64) -> Bools:
-        return self._view.seen(eyes_at(places, self._eye_height), target, self._around)
+    def _visible(self, need: SightNeed, target: SightTarget, places: F64) -> Bools:
+        return self._view.seen(eyes_at(places, self._eye_height), target, self._observer.around[need[0]])
 
     def _known(self, need: SightNeed, target: SightTarget) -> bool:
         return bool(self._so_far(need, target).mean() >= self._least(need))
@@ -247,7 +246,7 @@ class _Search:
             facing = in_view(eyes_at(places, self._eye_height), target.samples, self._ahead, headings)
             some = facing.any(axis=1)
             if some.any():
-                mask = mask | (facing[some] & self._visible(target, places[some])).any(axis=0)
+                mask = mask | (facing[some] & self._visible(need, target, places[some])).any(axis=0)
             self._seen[need] = len(self._places), mask
         return mask
 

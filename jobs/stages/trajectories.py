@@ -69,7 +69,7 @@ class WalkStage(Stage):
     texts: Mapping[str, Any] | None = None
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     name: str = "walks"
-    version: int = 2
+    version: int = 3
     tables: tuple[str, ...] = ("trajectories", "steps", "left_out")
     reads_inputs: bool = True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from condvln.evaluation.export_folder import open_export
+from condvln.samples import make_samples
 from condvln.sensors import open_renderer
 from condvln.sources.registry import open_source
+from jobs.generate import run_generate
 from jobs.trajectories import Request, make_trajectories
-from schemas.config import CameraConfig, TrajectoryConfig
+from schemas.config import CameraConfig, Config, InstructionsConfig, SourceConfig, TrajectoryConfig
 from schemas.errors import ProofError
+from schemas.program import CATEGORIES
 from tests.jobs.trajectories.made import proven, rows, to
 
 WIDE = CameraConfig(width=160, height=120, hfov=79.0, max_depth=None, normalized=False)
@@ -44,6 +48,37 @@ def test_most_episodes_have_a_walk_and_all_are_proven(asked: Request, explored: 
     report = proven(asked, explored, render_every=200)
     assert report.document["faults"] == []
     assert report.document["looked_for"] >= len(made)
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_things_are_seen_from_where_a_level_camera_sees_them(seed: int, tmp_path: Path) -> None:
+    """In small rooms low things are below the view of whoever stands right before them."""
+    make_samples(tmp_path / "gibson", family="gibson", scenes=1, seed=seed)
+    config = Config(
+        name="gibson",
+        store=tmp_path / "store",
+        export=tmp_path / "export",
+        sources=(SourceConfig(family="gibson", root=tmp_path / "gibson"),),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 6)),
+    )
+    assert run_generate(config, inline=True).exit_code == 0
+    counts: dict[str, int] = json.loads((tmp_path / "export" / "export.json").read_text())["episodes"]
+    asked = Request(
+        target=str(tmp_path / "export"),
+        out=tmp_path / "out",
+        split=max(counts, key=lambda name: counts[name]),
+        camera="tiny",
+        config=TrajectoryConfig(walks=("exploration",)),
+        layouts=("streamvln",),
+        scenes=(f"gibson={tmp_path / 'gibson'}",),
+        inline=True,
+        licensed=True,
+        recipe_only=True,
+    )
+    assert make_trajectories(asked).exit_code == 0
+    report = proven(asked, asked.out, render_every=0)
+    assert report.document["faults"] == []
+    assert report.document["walks"] > 15
 
 
 def test_a_plan_expects_the_frames_of_looking(asked: Request, explored: Path, tmp_path: Path) -> None:
