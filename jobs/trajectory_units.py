@@ -40,11 +40,13 @@ __all__ = [
 
 PIXEL_SECONDS: Final = 5e-8
 """Expected CPU seconds of rendering and encoding one pixel on the reference machine."""
-EDGE_BYTES: Final = {"rgb": 27.0, "depth": 65.0}
-"""Expected bytes of an image file for each pixel of the edge of a square image of its size.
+HEADER_BYTES: Final = {"rgb": 600.0, "depth": 0.0}
+"""Bytes of an image file of any size: the tables of a JPEG."""
+EDGE_BYTES: Final = {"rgb": 24.5, "depth": 65.0}
+"""Expected further bytes of an image file for each pixel of the edge of a square image of its size.
 
-Means over ReplicaCAD, ProcTHOR and made scenes at 224 × 224 and 640 × 480: 20 to 35, and 38 to 92 for depth. A larger
-image shows the same edges, so its size grows with its edge rather than with its area.
+Means of whole files over ReplicaCAD, ProcTHOR and made scenes at 224 × 224 and 640 × 480: 20 to 35, and 38 to 92 for
+depth. A larger image shows the same edges, so its size grows with its edge rather than with its area.
 """
 STEPS_PER_METRE: Final = 6.0
 """Expected actions for each metre of a route, turns included."""
@@ -371,7 +373,7 @@ def estimate(
     if "lerobot" in layouts:
         written += frames.told * size
     if "uninavid" in layouts:
-        written += frames.filmed * _image_bytes(MAIN, cameras[MAIN]) / REDUCED
+        written += frames.filmed * _image_bytes(MAIN, cameras[MAIN], REDUCED)
     episodes = sum(count for unit in units if isinstance(count := unit.payload["episodes"], int))
     seconds = sum(unit.cost for unit in units) * slowness()
     return Estimate(
@@ -385,6 +387,7 @@ def estimate(
     )
 
 
-def _image_bytes(name: str, camera: CameraConfig) -> float:
-    """Return the expected bytes of an image file of a camera."""
-    return math.sqrt(camera.width * camera.height) * EDGE_BYTES[modality(name)]
+def _image_bytes(name: str, camera: CameraConfig, reduced: int = 1) -> float:
+    """Return the expected bytes of an image file of a camera, with both sides reduced by a factor."""
+    kind = modality(name)
+    return HEADER_BYTES[kind] + math.sqrt(camera.width * camera.height) / reduced * EDGE_BYTES[kind]

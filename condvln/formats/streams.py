@@ -179,10 +179,12 @@ def _refusals(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        mend = "Free some space" if full else "Check the path and its rights"
         raise StoreError(
             f"can't be written: {error.strerror or error}",
             where=path,
-            remedy="Free some space or choose another folder, then run the command again; nothing half-written is left",
+            remedy=f"{mend} or choose another folder, then run the command again; nothing half-written is left",
         ) from error
 
 
