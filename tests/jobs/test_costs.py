@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from pathlib import Path
 
 import pytest
@@ -99,13 +100,21 @@ def test_counts_of_real_scenes_are_about_right(family: str, real_data: Path) -> 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("asked", [4, 24])
-@pytest.mark.parametrize("family", sorted(COEFFICIENTS))
-def test_a_first_run_takes_about_what_was_estimated(family: str, asked: int, real_data: Path, tmp_path: Path) -> None:
-    """CPU seconds of its stages, kernels warm. Estimates were once 3 to 7 times too high: stages had become faster."""
+def test_first_runs_take_about_what_was_estimated(asked: int, real_data: Path, tmp_path: Path) -> None:
+    """CPU seconds of stages, kernels warm. Estimates were once 3 to 7 times too high: stages had become faster.
+
+    The measure of the machine's speed can be off by a factor of two where another process shares the core. It is off
+    for all families alike, so that they are compared with each other strictly, and with the machine's time loosely.
+    """
     warm_up(lambda message: None)
-    found = first_run(family, real_data / family, asked, tmp_path, 6)
-    assert set(found.stages) == set(FEATURES)
-    assert 1 / 2 < found.ratio(*FEATURES) < 2, {stage: round(found.ratio(stage), 2) for stage in FEATURES}
+    ratios = {}
+    for family in sorted(COEFFICIENTS):
+        found = first_run(family, real_data / family, asked, tmp_path, 6)
+        assert set(found.stages) == set(FEATURES)
+        ratios[family] = found.ratio(*FEATURES)
+    middle = statistics.median(ratios.values())
+    assert 1 / 4 < middle < 4, ratios
+    assert all(1 / 2 < ratio / middle < 2 for ratio in ratios.values()), ratios
 
 
 def test_a_unit_carries_the_estimate_of_each_stage(tmp_path: Path, real_data: Path) -> None:
