@@ -33,7 +33,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 26
+    version: int = 27
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
 
