@@ -358,7 +358,8 @@ class Looker:
         if not (stop or beside):
             self._explorer.turn_to(place)
         self._aim, self._stopping, self._approaching = place, stop, beside
-        self._steering.begin(self._step)
+        at_object = (self._moves_done, len(self._not_reached), len(self._looked_from))
+        self._steering.begin(self._step, at_object if stop or beside else None)
 
     def _come_there(self, look: Callable[[], Look]) -> None:
         """Handle the agent's arrival at its target, or a target that can't be reached."""

@@ -25,17 +25,26 @@ EASY: Final = 1.5
 """Cost of a cell above which floor does not count as free."""
 PATIENT: Final = 24
 """Number of steps without progress after which it chooses another target."""
+LONGER: Final = 5.0
+"""Cost in cells by which the path must be longer than ever before for it to count as a detour."""
 
 
 class Steering:
     """Steers the agent to one target after another, and keeps track of its progress towards the current target."""
 
     def __init__(self) -> None:
-        self._best, self._since = math.inf, 0
+        self._goal: object = None
+        self._best, self._most, self._since = math.inf, 0.0, 0
 
-    def begin(self, step: int) -> None:
-        """Begin with a new target; `step` is the number of the agent's current step."""
-        self._best, self._since = math.inf, step
+    def begin(self, step: int, goal: object = None) -> None:
+        """Begin with a new target; `step` is the number of the agent's current step.
+
+        Targets in a row with an equal `goal` other than None count as one whose place was corrected: what the agent
+        gained towards the former ones is kept.
+        """
+        if goal is None or goal != self._goal:
+            self._goal = goal
+            self._best, self._most, self._since = math.inf, 0.0, step
 
     def action(self, aim: F64, here: F64, heading: float, ground: Ground, ways: Ways, step: int) -> int | None:
         """Return the action that leads from `here` (2,) towards the position `aim` (2,); None if `aim` is unreachable,
@@ -45,10 +54,11 @@ class Steering:
         path, length = ways.to(cell), float(ways.distance[cell])
         if not np.isfinite(length) or len(path) < 2:
             return None
-        if length < self._best - 1:
+        if length < self._best - 1 or length > self._most + LONGER:
             self._best, self._since = length, step
         elif step - self._since > PATIENT:
             return None
+        self._most = max(self._most, length)
         towards = path[1]
         for point in path[2:]:
             if np.hypot(*(point - here)) > AHEAD or not ground.open_between(here, point):

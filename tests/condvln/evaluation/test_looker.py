@@ -21,16 +21,17 @@ from condvln.evaluation.looker.exploring import Explorer, Here
 from condvln.evaluation.looker.eyes import GHOST, LOOKUP_CELL, Eyes, RoomLookup
 from condvln.evaluation.looker.floor_map import HALF, Ground
 from condvln.evaluation.looker.judging import holds
+from condvln.evaluation.looker.looker import TRIES
 from condvln.evaluation.looker.memory import GRAIN, Memory, Thing
 from condvln.evaluation.looker.referents import Referents
-from condvln.evaluation.looker.steering import Steering
+from condvln.evaluation.looker.steering import HALF_TURN, PATIENT, Steering
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.score import score
 from condvln.evaluation.stepped_episode import heading_of
 from condvln.instructions import reading_of
 from condvln.instructions.rendering import heading_name
 from condvln.instructions.text_reading import Phrase, Place
-from condvln.navigation.follower import FORWARD, RIGHT
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP
 from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays, SceneObject
 from jobs.command import app
@@ -522,6 +523,61 @@ def test_it_goes_on_where_its_target_is_a_little_aside_and_the_floor_ahead_is_fr
         steering = Steering()
         action = steering.action(aim, here.place, math.radians(degrees), ground, here.ways, 0)
         assert action == expected, degrees
+
+
+def test_it_gives_up_stops_that_something_it_does_not_see_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes to a pillow on a bed, knows all floor around the bed, and each of its forward steps collides."""
+    text = "If there's a chair in the bedroom, go to the desk. If not, go to the pillow."
+    looker = Looker(text, 500, LookerConfig())
+    looker.verdicts[0] = False
+    ground = floor_with_a_bed(unseen_left=False)
+    place, heading, bumped, action = np.array([1.5, 0.0, 0.0]), 0.0, False, FORWARD
+    flat = looker._last = looker._looked = place[[0, 2]]
+    monkeypatch.setattr(looker, "_found", lambda move: (pillow(-0.15), None))
+    monkeypatch.setattr(looker, "_here", lambda: Here(flat, heading, ground, ground.ways_from(*flat)))
+    given_up = set()
+    for _ in range(500):
+        action = looker.act(place, heading, lambda: pytest.fail("it has not moved"), bumped)
+        if action == STOP:
+            break
+        bumped = action == FORWARD
+        heading += 2 * HALF_TURN * ((action == LEFT) - (action == RIGHT))
+        given_up |= {tuple(spot.tolist()) for spot in looker._not_reached}
+    assert action == STOP
+    # It tries each of the places for so long, and then stops where it is.
+    assert len(given_up) == TRIES
+    assert looker._step <= (TRIES + 1) * (PATIENT + 2)
+
+
+def test_a_target_that_is_only_moved_does_not_count_as_progress() -> None:
+    ground, here = two_ways_on()
+    left, right = np.array([-1.5, 0.3]), np.array([1.3, 0.3])
+
+    def steps(goals: list[object]) -> int:
+        """Count the steps of an agent that stands still while its target is moved to and fro."""
+        steering = Steering()
+        for step, goal in enumerate(goals):
+            steering.begin(step, goal)
+            if steering.action((left, right)[step % 2], here.place, 0.0, ground, here.ways, step) is None:
+                return step
+        return len(goals)
+
+    assert steps(["pillow"] * 100) == PATIENT + 2
+    assert steps([None] * 100) == 100
+    # Another goal gets its own time.
+    assert steps(["pillow"] * 20 + ["desk"] * 80) == 20 + PATIENT + 2
+
+
+def test_a_way_that_turns_out_longer_gets_its_own_time() -> None:
+    ground, here = two_ways_on()
+    near, far = np.array([0.5, 0.0]), np.array([1.3, 0.0])
+    steering = Steering()
+    for step in range(60):
+        steering.begin(step, "pillow")
+        aim = near if step < 20 else far
+        if steering.action(aim, here.place, 0.0, ground, here.ways, step) is None:
+            break
+    assert step == 20 + PATIENT + 1
 
 
 def test_it_answers_in_time_for_the_walk_that_is_left(made: tuple[Export, Path]) -> None:
