@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled_apart
 from condvln.navigation.recast.arrays import Array, grown_rows
 from condvln.navigation.recast.config import MAX_SPAN_HEIGHT, RecastConfig
 
@@ -70,7 +70,7 @@ def rasterize(vertices: Array, faces: Array, face_area: Array, config: RecastCon
     return Heightfield(config.width, config.depth, start, bottom, top, area)
 
 
-@inlined
+@compiled_apart
 def _cut_row(
     x: Array, y: Array, z: Array, source: int, corners: int, line: np.float32, row: int, rest: int
 ) -> tuple[int, int]:
@@ -106,7 +106,7 @@ def _cut_row(
     return n_row, n_rest
 
 
-@inlined
+@compiled_apart
 def _cut_cell(
     x: Array, y: Array, source: int, corners: int, line: np.float32, rest: int
 ) -> tuple[int, int, np.float32, np.float32]:
@@ -149,7 +149,7 @@ def _cut_cell(
     return n_piece, n_rest, lowest, highest
 
 
-@inlined
+@compiled_apart
 def _insert(column: int, low: int, high: int, area: int, merge: int, first: Array, spans: Array, pool: Array) -> None:
     """Insert a span into its column's list, merging the spans that it touches.
 
@@ -194,7 +194,7 @@ def _insert(column: int, low: int, high: int, area: int, merge: int, first: Arra
         first[column] = fresh
 
 
-@compiled
+@compiled_apart
 def _rasterize(
     vertices: Array,
     faces: Array,
@@ -276,7 +276,7 @@ def _rasterize(
     return _in_column_order(first, spans)
 
 
-@inlined
+@compiled_apart
 def _in_column_order(first: Array, spans: Array) -> tuple[Array, Array, Array, Array]:
     """Return the spans of all columns as contiguous arrays in column order. The input has a linked list of spans for
     each column.
