@@ -85,13 +85,13 @@ class Explorer:
         self._towards: tuple[int, int] | None = None
         self._turned_to: dict[tuple[int, int], int] = {}
 
-    def sought(self, move: Phrase, here: Here) -> F64 | None:
-        """Return a position from which the agent may find the object of a stop. The object is known to exist, so rooms
-        that are already seen completely are searched a second time, from half the distance. Return None if the second
-        search is complete too.
+    def sought(self, phrase: Phrase, here: Here) -> F64 | None:
+        """Return a position from which the agent may find the object of a stop, or a definite one of a condition. The
+        object is known to exist, so rooms that are already seen completely are searched a second time, from half the
+        distance. Return None if the second search is complete too.
         """
-        target = self.unseen(move, here)
-        return self.unseen(move, here, self._close / 2) if target is None else target
+        target = self.unseen(phrase, here)
+        return self.unseen(phrase, here, self._close / 2) if target is None else target
 
     def unseen(
         self, phrase: Phrase, here: Here, close: float | None = None, around: tuple[F64, float] | None = None

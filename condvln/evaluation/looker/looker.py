@@ -241,7 +241,8 @@ class Looker:
         answer, guess = self._referents.judge(phrase)
         if answer is None:
             late = self._step + self._reserve(number) >= self._limit
-            target = None if late else self._explorer.unseen(phrase, self._here())
+            look = self._explorer.sought if self._referents.lacks(phrase) else self._explorer.unseen
+            target = None if late else look(phrase, self._here())
             if target is not None:
                 self._set_aim(target)
                 return None

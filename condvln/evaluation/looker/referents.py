@@ -83,6 +83,16 @@ class Referents:
         """Return whether an object was seen from near enough to be judged."""
         return thing.nearest <= self._close
 
+    def lacks(self, phrase: Phrase) -> bool:
+        """Return whether a thing that a condition takes for granted, such as "the lamp" in "if the lamp is near the
+        bed", has not been seen from near enough to be judged.
+        """
+        if not phrase.definite:
+            return False
+        labels = (phrase.label, *(phrase.qualifier[1] if phrase.qualifier else ()))
+        rooms = self.rooms(phrase)
+        return any(not any(map(self.is_close, self.known(label, rooms))) for label in labels)
+
     def scores(self, phrase: Phrase, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[tuple[float, Thing]]:
         """Return the objects that are not anchors themselves, each with a number that is positive if the relation of
         `phrase` holds for it.

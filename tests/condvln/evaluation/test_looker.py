@@ -614,6 +614,41 @@ def test_it_guesses_nothing_about_a_room_that_it_has_not_found(made: tuple[Expor
     assert not looker.verdicts
 
 
+def test_it_looks_again_from_nearer_for_a_thing_that_the_text_takes_for_granted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The whole floor of the bedroom was seen from 2 m. On the bed it has seen a phone from afar, or nothing."""
+    ground = floor_with_a_bed(unseen_left=False)
+    ground.near[ground.passable] = 2.0
+    flat = np.array([1.5, 1.5])
+    bed = Thing(1, "bed", 0, surface(np.array([-2.0, 0, -0.8]), np.array([0.0, 0.5, 0.8])), 1.0, 0)
+
+    def answer(condition: str, *things: Thing, step: int = 0) -> tuple[bool | None, bool]:
+        """Return the first answer to a condition, and whether the agent goes somewhere to see more."""
+        looker = Looker(f"{condition}, go to the desk. If not, go to the pillow.", 500, LookerConfig())
+        monkeypatch.setattr(looker, "_here", lambda: Here(flat, 0.0, ground, ground.ways_from(*flat)))
+        looker._explorer.been.add(0)
+        looker.memory.rooms[0] = "bedroom"
+        looker.memory._things.update({thing.number: thing for thing in things})
+        looker._step = step
+        return looker._verdict(0), looker._aim is not None
+
+    definite = "If the cell phone in the bedroom is on the bed"
+    indefinite = "If there's a cell phone on the bed in the bedroom"
+    phone = surface(np.array([1.0, 0.5, 1.0]), np.array([1.2, 0.6, 1.2]))
+    far, near = (Thing(2, "cell phone", 0, phone, away, 0) for away in (3.3, 2.9))
+    assert answer(definite, bed) == (None, True)
+    assert answer(definite, bed, far) == (None, True)
+    assert answer(definite, near) == (None, True)
+    assert answer(definite, bed, near) == (False, False)
+    assert answer(definite, bed, step=499) == (False, False)
+    # There may be no phone at all.
+    assert answer(indefinite, bed) == (False, False)
+    # What is not seen from half the distance either is not looked for any more.
+    ground.near[ground.passable] = 1.0
+    assert answer(definite, bed) == (False, False)
+
+
 def test_only_floor_around_the_anchor_is_explored_for_a_closer_thing() -> None:
     ground = floor_with_a_bed(unseen_left=False)
     rows, columns = np.nonzero(ground.passable)
