@@ -38,6 +38,8 @@ BESIDE: Final = 4.0
 """Distance in metres at which views count as near an object."""
 TRIES: Final = 4
 """Largest number of places to stop at that it can't reach before it stops where it is."""
+NEAR: Final = 1.0
+"""Distance in metres to its last stop within which it stops with the last step of its budget."""
 
 STOPPING: Final = 20.0
 """Steps that it keeps for each stop."""
@@ -138,6 +140,8 @@ class Looker:
             if action is not None:
                 break
             self._come_there(look)
+        if self._step == self._limit - 1 and self._almost_there:
+            action = STOP
         self._step += 1
         return LEFT if action is None else action
 
@@ -158,6 +162,14 @@ class Looker:
                 answer = self._referents.judge(self.reading.conditions[number])[1] != bool(self._flipped[number])
             at = branch.then if answer else branch.otherwise
         return -1 - at
+
+    @property
+    def _almost_there(self) -> bool:
+        """Whether the agent is on its way to its last stop, and near."""
+        if self._aim is None or not self._stopping or self.leaf is None:
+            return False
+        last = self._moves_done == len(self.reading.leaves[self.leaf]) - 1
+        return last and float(np.hypot(*(self._aim - self._place[[0, 2]]))) <= NEAR
 
     # Perception
 

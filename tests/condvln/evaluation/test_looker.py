@@ -549,6 +549,27 @@ def test_it_gives_up_stops_that_something_it_does_not_see_blocks(monkeypatch: py
     assert looker._step <= (TRIES + 1) * (PATIENT + 2)
 
 
+def test_its_last_step_is_a_stop_where_its_last_place_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is on the way to the first or second of two stops, and has the budget's last step or the one before."""
+    text = "If there's a chair in the bedroom, go to the desk. If not, go to the lamp, then to the pillow."
+    ground = floor_with_a_bed(unseen_left=False)
+
+    def action(away: float, step: int, done: int = 1) -> int:
+        looker = Looker(text, 500, LookerConfig())
+        looker.verdicts[0] = False
+        looker._step, looker._moves_done = step, done
+        place = np.array([0.85, 0.0, -1.6 + away])
+        flat = looker._last = looker._looked = place[[0, 2]]
+        monkeypatch.setattr(looker, "_found", lambda move: (pillow(-0.15), None))
+        monkeypatch.setattr(looker, "_here", lambda: Here(flat, 0.0, ground, ground.ways_from(*flat)))
+        return looker.act(place, 0.0, lambda: pytest.fail("it has not moved"), False)
+
+    assert action(0.8, 499) == STOP
+    assert action(0.8, 498) != STOP
+    assert action(0.8, 499, done=0) != STOP
+    assert action(2.5, 499) != STOP
+
+
 def test_a_target_that_is_only_moved_does_not_count_as_progress() -> None:
     ground, here = two_ways_on()
     left, right = np.array([-1.5, 0.3]), np.array([1.3, 0.3])
