@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +12,7 @@ from typing import Any, Final
 import orjson
 
 from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY, read_index
-from condvln.formats.streams import ByteStream, atomic_stream
+from condvln.formats.streams import GZIP_LEVEL, ByteStream, atomic_stream
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
@@ -23,7 +23,7 @@ from jobs.pipeline import open_configured
 from jobs.report import Report, Section
 from jobs.workspace import published
 from schemas.config import Config
-from schemas.errors import InputError, MissingFileError, ProofError, StoreError
+from schemas.errors import InputError, MissingFileError, ProofError, StoreError, shown_path
 
 __all__ = ["verify_export"]
 
@@ -35,7 +35,8 @@ SHOWN: Final = 20
 def verify_export(config: Config, export_dir: Path, *, without_store: bool = False) -> Report:
     """Prove every episode of an export from its text and the raw source files, and check that the export is complete.
 
-    Certificates are written to ``certificates/`` of the export. The files are compared with the export's own record,
+    Certificates are written to ``certificates/`` of the export; where they can't be, the report says so, and its exit
+    code is StoreError's. The files are compared with the export's own record,
     and its episodes with the published snapshot. The report's exit code is ProofError's where any fact disagrees,
     where anything is missing, and where there is nothing to prove.
 
@@ -49,19 +50,12 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     tally.faults += find_faults(export_dir)
     if not without_store:
         tally.faults += _faults_of_snapshot(config, export_dir)
-    folder = export_dir / CERTIFICATES
+    written = _Certificates(export_dir)
     try:
-        with ExitStack() as stack:
-            streams: dict[str, ByteStream] = {}
+        with written:
             for certificate in prove_export(export_dir, VerifierRules.of(config), _Scenes(config)):
                 tally.add(certificate)
-                name = f"{certificate.split}.jsonl"
-                if name not in streams:
-                    streams[name] = stack.enter_context(atomic_stream(folder / name))
-                streams[name].write(_line(certificate))
-        for path in folder.glob("*.jsonl"):
-            if path.name not in streams:
-                path.unlink()
+                written.add(certificate)
     except InputError as error:
         if not tally.faults:
             raise
@@ -69,9 +63,8 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     if not sum(row_counts(export_dir).values()):
         tally.faults.append(Fault(MANIFEST, "the export holds no episodes, so nothing is proven"))
     document = {**tally.document(), "files": _hashes(export_dir)}
-    with atomic_stream(folder / SUMMARY) as stream:
-        stream.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS) + b"\n")
-    return tally.report(document, folder)
+    written.summary(document)
+    return tally.report(document | written.unwritten(), written)
 
 
 def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
@@ -97,10 +90,11 @@ def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:
         yield Fault(str(config.store), f"the published snapshot can't be read: {error} --without-store leaves it out.")
         return
     for path in manifest_paths(export_dir):
-        for line in manifest_lines(path):
-            with suppress(InputError, KeyError):
-                if (name := line.fields()["episode_id"]) not in known:
-                    yield Fault(f"{MANIFEST}/{path.name}", f"episode {name} is not in the snapshot")
+        with suppress(InputError):  # proving the export meets the same fault
+            for line in manifest_lines(path):
+                with suppress(InputError, KeyError):
+                    if (name := line.fields()["episode_id"]) not in known:
+                        yield Fault(f"{MANIFEST}/{path.name}", f"episode {name} is not in the snapshot")
     counts = [count for part in ("episodes", "left_out") for count in (index.get(part) or {}).values()]
     if sum(counts) != len(known):
         yield Fault(INDEX, f"accounts for {sum(counts)} of the {len(known)} episodes of the snapshot")
@@ -133,6 +127,76 @@ class _Scenes:
             except MissingFileError as error:
                 missing = error
         raise missing
+
+
+class _Certificates:
+    """The certificates of an export, written as they are proven. A folder that can't be written stops no proof: nothing
+    more is written then, files of an earlier run stay, and `refusal` says why.
+    """
+
+    def __init__(self, export_dir: Path) -> None:
+        self.folder = export_dir / CERTIFICATES
+        self.refusal: StoreError | None = None
+        self._streams: dict[str, ByteStream] = {}
+
+    def __enter__(self) -> _Certificates:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None and self.refusal is None:
+            with self._refusals():
+                for stream in self._streams.values():
+                    stream.commit()
+                for path in self.folder.glob("*.jsonl"):
+                    if path.name not in self._streams:
+                        path.unlink()
+        else:
+            self._abandon()
+
+    def add(self, certificate: Certificate) -> None:
+        """Write one certificate."""
+        name = f"{certificate.split}.jsonl"
+        if self.refusal is None:
+            with self._refusals():
+                if name not in self._streams:
+                    self._streams[name] = ByteStream(self.folder / name, GZIP_LEVEL)
+                self._streams[name].write(_line(certificate))
+
+    def summary(self, document: Mapping[str, Any]) -> None:
+        """Write the summary."""
+        if self.refusal is None:
+            with self._refusals(), atomic_stream(self.folder / SUMMARY) as stream:
+                stream.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS) + b"\n")
+
+    def unwritten(self) -> dict[str, Any]:
+        """Return, for scripts, the file that could not be written and why; empty if all were."""
+        if self.refusal is None:
+            return {}
+        return {"unwritten": Fault(_relative(self.refusal.where, self.folder.parent), self.refusal.what).document()}
+
+    def line(self) -> str:
+        """Return where the certificates are, or that they could not be written."""
+        if self.refusal is None:
+            return f"certificates in {self.folder}"
+        earlier = "; files of an earlier run lie there" if any(self.folder.glob("*.json*")) else ""
+        return f"NOT WRITTEN: {self.refusal.where}: {self.refusal.what}{earlier}"
+
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        try:
+            yield
+        except StoreError as error:
+            self.refusal = error
+            self._abandon()
+        except OSError as error:
+            self.refusal = StoreError(
+                f"can't be written: {error.strerror or error}", where=error.filename or self.folder
+            )
+            self._abandon()
+
+    def _abandon(self) -> None:
+        for stream in self._streams.values():
+            stream.abandon()
 
 
 class _Tally:
@@ -172,19 +236,22 @@ class _Tally:
             },
         }
 
-    def report(self, document: dict[str, Any], folder: Path) -> Report:
+    def report(self, document: dict[str, Any], written: _Certificates) -> Report:
         """Return the summary for people and scripts."""
         total, proven = self.episodes.total(), self.proven.total()
         lines = [f"{proven:,} of {total:,} episodes proven, {self.checked.total():,} facts checked"]
         lines += [f"INCOMPLETE: {fault}" for fault in self.faults[:SHOWN]]
         if len(self.faults) > SHOWN:
-            lines.append(f"… and {len(self.faults) - SHOWN:,} more, see {folder / SUMMARY}")
+            place = f", see {written.folder / SUMMARY}" if written.refusal is None else ""
+            lines.append(f"… and {len(self.faults) - SHOWN:,} more{place}")
         lines += [f"episode {episode_id}: {text}" for episode_id, text in self.examples]
         if self.disagreed.total() > len(self.examples):
             lines.append(f"… and {self.disagreed.total() - len(self.examples):,} more")
-        lines.append(f"certificates in {folder}")
+        lines.append(written.line())
         facts = [(fact, FACTS[fact], self.checked[fact], self.disagreed[fact]) for fact in FACTS if self.checked[fact]]
-        exit_code = ProofError.exit_code if self.disagreed or self.faults else 0
+        exit_code = 0 if written.refusal is None else written.refusal.exit_code
+        if self.disagreed or self.faults:
+            exit_code = ProofError.exit_code
         return Report(
             document, lines, [Section("Facts", ("fact", "meaning", "checked", "disagreed"), [*facts])], exit_code
         )
@@ -196,5 +263,8 @@ def _line(certificate: Certificate) -> bytes:
 
 def _hashes(export_dir: Path) -> dict[str, str]:
     """Return the SHA-256 of each verified file, by path. Certificates hold for these files only."""
-    paths = [*manifest_paths(export_dir), *export_dir.glob("vlnce/*/*.json.gz")]
-    return {path.relative_to(export_dir).as_posix(): hash_file(path)[1] for path in sorted(paths)}
+    hashes = {}
+    for path in sorted([*manifest_paths(export_dir), *export_dir.glob("vlnce/*/*.json.gz")]):
+        with suppress(OSError):  # it is one of the faults
+            hashes[shown_path(path.relative_to(export_dir))] = hash_file(path)[1]
+    return hashes

@@ -18,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from condvln.sources.file_listing import is_folder
 from factory.commits import Commits
 from factory.inventory import glance
 from factory.store import Store
@@ -158,7 +159,7 @@ def look(roots: Iterable[Path]) -> tuple[list[list[Any]], bool]:
                 continue
             seen.add((stat.st_dev, stat.st_ino))
             for entry in entries:
-                if entry.is_dir():
+                if is_folder(entry):
                     stack.append(entry.path)
                 else:
                     files.append(_stat(entry))

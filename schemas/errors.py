@@ -49,7 +49,16 @@ __all__ = [
     "StoreError",
     "TransientIOError",
     "UsageError",
+    "shown_path",
 ]
+
+
+def shown_path(path: str | Path) -> str:
+    r"""Return a path as text that can be printed and stored: a byte of a name that is not UTF-8 becomes ``\xff``."""
+    try:
+        return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # not a name that an operating system gave
+        return str(path).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 class CondVLNError(Exception):
@@ -67,7 +76,7 @@ class CondVLNError(Exception):
 
     def __init__(self, what: str, *, where: str | Path | None = None, place: str = "", remedy: str = "") -> None:
         self.what = what
-        self.where = str(where) if where is not None else ""
+        self.where = shown_path(where) if where is not None else ""
         self.place = place
         self.remedy = remedy
         super().__init__(self._message())

@@ -9,6 +9,8 @@ from typing import Any, Final
 
 import orjson
 
+from condvln.formats.regular_file import read_regular
+
 __all__ = [
     "CERTIFICATES",
     "CHANGELOG",
@@ -51,7 +53,7 @@ def read_index(folder: Path) -> dict[str, Any] | None:
 def read_document(path: Path) -> dict[str, Any] | None:
     """Return the JSON object in a file; None if the file does not exist or its JSON object can't be read."""
     try:
-        document = orjson.loads(path.read_bytes())
+        document = orjson.loads(read_regular(path))
     except (OSError, ValueError):
         return None
     return document if isinstance(document, dict) else None
@@ -103,7 +105,7 @@ def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:
     """
     proofs = {path.relative_to(folder).as_posix() for pattern in _PROOFS for path in folder.glob(pattern)}
     try:
-        proven = orjson.loads((folder / CERTIFICATES / SUMMARY).read_bytes())["files"]
+        proven = orjson.loads(read_regular(folder / CERTIFICATES / SUMMARY))["files"]
         current = bool(proven) and all(files.get(name) == digest for name, digest in proven.items())
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         current = False

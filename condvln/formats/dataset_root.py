@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Final
 
+from condvln.formats.regular_file import open_regular, refuse_special
 from schemas.errors import FormatError, MissingFileError, PathEscapeError, TransientIOError
 
 __all__ = ["TRANSIENT", "DatasetRoot"]
@@ -70,8 +71,22 @@ class DatasetRoot:
         return path
 
     def has(self, relative: str) -> bool:
-        """Return whether the file exists."""
-        return os.path.isfile(self.path(relative))
+        """Return whether the file exists.
+
+        Raises
+        ------
+        FormatError : a FIFO, a socket or a device is there, or a link that leads to itself
+        """
+        path = self.path(relative)
+        try:
+            refuse_special(path)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ELOOP):
+                return False
+            raise FormatError(
+                f"the file can't be read ({error.strerror})", where=path, remedy="Take the file from its dataset again"
+            ) from None
+        return os.path.isfile(path)
 
     def signature(self, relative: str) -> tuple[int, int]:
         """Return the size and the modification time of a file, as a cache key; (0, 0) if the file does not exist."""
@@ -92,7 +107,7 @@ class DatasetRoot:
         """
         path = self.path(relative)
         try:
-            with path.open("rb") as stream:
+            with open_regular(path) as stream:
                 data = stream.read(limit + 1)
         except FileNotFoundError:
             raise MissingFileError(

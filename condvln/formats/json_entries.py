@@ -22,6 +22,7 @@ import orjson
 
 from condvln.formats.json_document import MAX_DEPTH, nesting_depth
 from condvln.formats.json_scan import DEPTH, IN_STRING, new_state, scan
+from condvln.formats.regular_file import open_regular
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = [
@@ -100,7 +101,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
     FormatError : a gzip file is truncated or damaged, or decompresses to more than the limit
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             packed = file.read(2) == _GZIP_MAGIC
             file.seek(0)
             yield cast(BinaryIO, _Unpacked(file, path)) if packed else file

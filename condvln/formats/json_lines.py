@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Final
 
 from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.regular_file import open_regular
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["MAX_LINE_BYTES", "JsonLines"]
@@ -140,7 +141,7 @@ class JsonLines:
     def _open(self) -> BinaryIO:
         path = self._root.path(self.path)
         try:
-            return path.open("rb")
+            return open_regular(path)
         except OSError as error:
             raise MissingFileError(
                 f"the file can't be opened ({error.strerror})",

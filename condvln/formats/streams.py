@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from condvln.formats.regular_file import open_regular
 from schemas.errors import FormatError, MissingFileError, StoreError
 
 __all__ = [
@@ -214,7 +215,7 @@ def read_unpacked(path: Path, limit: int = LARGEST) -> bytes:
     FormatError : the gzip data is damaged, or larger than ``limit``
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             if path.suffix == ".gz":
                 with gzip.GzipFile(fileobj=file) as unpacked:
                     data = unpacked.read(limit + 1)

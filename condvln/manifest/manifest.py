@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from condvln.episodes.placing import heading_degrees
 from condvln.formats.json_entries import json_lines, parsed
-from schemas.errors import FormatError
+from schemas.errors import FormatError, shown_path
 from schemas.evaluation import ManifestEpisode
 from schemas.version import SCHEMA_VERSION
 
@@ -78,8 +78,8 @@ def manifest_path(export: Path, split: str) -> Path:
 
 
 def manifest_paths(export: Path) -> list[Path]:
-    """Return the sorted paths of all manifests of an export."""
-    return sorted((export / FOLDER).glob("*.jsonl"))
+    """Return the sorted paths of all manifests of an export. A name that is not UTF-8 is that of no split."""
+    return sorted(path for path in (export / FOLDER).glob("*.jsonl") if shown_path(path.name) == path.name)
 
 
 def manifest_lines(path: Path) -> Iterator[ManifestLine]:

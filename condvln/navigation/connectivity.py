@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
+from condvln.formats.regular_file import read_regular
 from condvln.navigation.tile import Floats
 from schemas.errors import FormatError, MissingFileError
 
@@ -96,7 +97,7 @@ def _load(file: Path) -> list[Any]:
     try:
         if file.stat().st_size > MAX_FILE_BYTES:
             raise _error(file, "", f"the file has {file.stat().st_size} bytes (at most {MAX_FILE_BYTES} are read)")
-        items = orjson.loads(file.read_bytes())
+        items = orjson.loads(read_regular(file))
     except FileNotFoundError as error:
         raise MissingFileError("the connectivity file does not exist", where=file, remedy="Check the path") from error
     except OSError as error:

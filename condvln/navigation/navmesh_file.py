@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from condvln.formats.regular_file import read_regular
 from condvln.formats.streams import atomic_stream
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import (
@@ -158,7 +159,7 @@ def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
             raise FormatError(
                 f"the file has {size} bytes (at most {MAX_FILE_BYTES} are read)", where=file, remedy=REMEDY
             )
-        data = file.read_bytes()
+        data = read_regular(file)
     except FileNotFoundError as error:
         raise MissingFileError("the navmesh file does not exist", where=file, remedy="Check the path") from error
     except OSError as error:

@@ -8,9 +8,17 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 from condvln.formats.dataset_root import TRANSIENT, DatasetRoot
-from schemas.errors import ConfigError, InputError, MissingFileError, PathEscapeError, TransientIOError
+from schemas.errors import (
+    ConfigError,
+    FormatError,
+    InputError,
+    MissingFileError,
+    PathEscapeError,
+    TransientIOError,
+    shown_path,
+)
 
-__all__ = ["FileListing", "list_files"]
+__all__ = ["FileListing", "is_folder", "list_files"]
 
 
 @dataclass
@@ -37,12 +45,19 @@ class FileListing:
         folders: dict[str, str] = {}
         by_file: dict[str, list[str]] = {}
         for path in sorted(set(paths)):
+            if not path.isprintable() and (shown := shown_path(path)) != path:
+                self.faults[shown] = FormatError(
+                    "the name is not UTF-8 text, so that nothing can refer to the file",
+                    where=root.folder / path,
+                    remedy="Rename it, or name it under 'exclude'",
+                )
+                continue
             folder, _, name = path.rpartition("/")
             if folder not in folders:
                 folders[folder] = os.path.realpath(root.folder / folder)
             if not _is_inside(folders[folder], real_folder):
                 link = _outermost_link(root, path)
-                self.faults[link] = PathEscapeError(
+                self.faults[shown_path(link)] = PathEscapeError(
                     "the symbolic link leads out of the dataset's root folder; the files behind it are not read",
                     where=root.folder / link,
                     remedy="Put the folder itself inside the root, or name the link under 'exclude'",
@@ -61,8 +76,8 @@ class FileListing:
                 if path != kept:
                     link = _outermost_link(root, path)
                     target = os.readlink(root.folder / link) if os.path.islink(root.folder / link) else kept
-                    self.passed_over[link] = (
-                        f"a symbolic link to {target!r}: its files are listed under their own names"
+                    self.passed_over[shown_path(link)] = (
+                        f"a symbolic link to '{shown_path(target)}': its files are listed under their own names"
                     )
         self.paths.sort()
 
@@ -92,9 +107,9 @@ def _matching(
             continue
         path = f"{folder}/{entry.name}" if folder else entry.name
         if len(parts) > 1:
-            if _is_folder(entry):
+            if is_folder(entry):
                 yield from _matching(root, path, parts[1:], known, listing)
-        elif not _is_folder(entry):
+        elif not is_folder(entry):
             yield path
 
 
@@ -110,11 +125,12 @@ def _entries(root: DatasetRoot, folder: str, listing: FileListing) -> list[os.Di
         what, remedy = f"the folder can't be listed ({error.strerror})", "Check its permissions"
         if not folder:
             raise ConfigError(what, where=root.folder, remedy=remedy) from None
-        listing.faults[folder] = MissingFileError(what, where=root.folder / folder, remedy=remedy)
+        listing.faults[shown_path(folder)] = MissingFileError(what, where=root.folder / folder, remedy=remedy)
         return []
 
 
-def _is_folder(entry: os.DirEntry[str]) -> bool:
+def is_folder(entry: os.DirEntry[str]) -> bool:
+    """Return whether an entry is a folder or a link to one; a link that leads nowhere, or to itself, is none."""
     try:
         return entry.is_dir()
     except OSError:  # a link that points to itself

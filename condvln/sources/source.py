@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, TypeAlias
 
+from condvln.formats.regular_file import open_regular
 from condvln.scene import Scene
 from condvln.scene.geometry import SceneGeometry
 from schemas.errors import InputError
@@ -139,7 +140,7 @@ def hash_file(path: Path) -> tuple[int, str]:
     """Return size and SHA-256 of a file, read in blocks."""
     digest = hashlib.sha256()
     size = 0
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         while piece := stream.read(_READ_BYTES):
             digest.update(piece)
             size += len(piece)

@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from condvln.formats.parquet_rows import refuse_more_rows_than_bytes
+from condvln.formats.parquet_rows import refuse_parquet_bombs
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
 from schemas.config import CameraConfig, TrajectoryConfig
@@ -213,7 +213,7 @@ class Recipe:
         path = self.folder / f"{name}.parquet"
         schema = TRAJECTORY_TABLES[name].append(pa.field("source", pa.string(), nullable=False))
         try:
-            refuse_more_rows_than_bytes(path)
+            refuse_parquet_bombs(path)
             table = pq.read_table(path, **options)
             wanted = pa.schema([schema.field(column) for column in options.get("columns", schema.names)])
             table = table.select(wanted.names).cast(wanted)

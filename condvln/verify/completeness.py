@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from condvln.export.contents import INDEX, ORIGIN, document_digest, read_document, read_index
+from condvln.formats.regular_file import open_regular
+from condvln.verify.files import split_names
+from schemas.errors import shown_path
 
 __all__ = ["Fault", "find_faults", "row_counts"]
 
@@ -60,7 +64,7 @@ def find_faults(folder: Path) -> Iterator[Fault]:
             if name not in listed:
                 yield Fault(name, f"is not listed in {INDEX}, which has {count} episodes of {split}")
     for path in sorted(path for pattern in _READ for path in folder.glob(pattern)):
-        name = path.relative_to(folder).as_posix()
+        name = shown_path(path.relative_to(folder).as_posix())
         if name not in listed:
             yield Fault(name, f"is not listed in {INDEX}")
     for split, rows in row_counts(folder).items():
@@ -69,11 +73,12 @@ def find_faults(folder: Path) -> Iterator[Fault]:
 
 
 def row_counts(folder: Path) -> dict[str, int]:
-    """Return the number of rows of each manifest, by split."""
+    """Return the number of rows of each manifest, by split; 0 for one that can't be read."""
     counts = {}
-    for path in sorted(folder.glob("manifest/*.jsonl")):
-        with path.open("rb") as lines:
-            counts[path.stem] = sum(1 for line in lines if line.strip())
+    for split in split_names(folder):
+        counts[split] = 0
+        with suppress(OSError), open_regular(folder / "manifest" / f"{split}.jsonl") as lines:
+            counts[split] = sum(1 for line in lines if line.strip())
     return counts
 
 
@@ -106,7 +111,7 @@ def _faults_of_file(path: Path, name: str, entry: Any) -> Iterator[Fault]:
 
 def _sha256(path: Path) -> str:
     state = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while block := file.read(_BLOCK):
             state.update(block)
     return state.hexdigest()

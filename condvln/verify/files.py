@@ -13,10 +13,10 @@ from pydantic import ValidationError
 
 from condvln.formats.json_entries import entries, json_lines, opened, parsed
 from condvln.formats.json_scan import new_state, scan
-from schemas.errors import FormatError, MissingFileError
+from schemas.errors import FormatError, MissingFileError, shown_path
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["ExportFiles", "Row", "SceneRun", "Unread"]
+__all__ = ["ExportFiles", "Row", "SceneRun", "Unread", "split_names"]
 
 _BLOCK: Final = 1 << 20
 _EPISODES: Final = re.compile(rb'\s*\{\s*"episodes"\s*:\s*(?=\[)')
@@ -65,7 +65,7 @@ class ExportFiles:
         self.folder = folder
         self.unread: list[Unread] = []
         """Lines that are not a valid row with its record; complete when `runs` has ended."""
-        self.splits = sorted(path.stem for path in (folder / "manifest").glob("*.jsonl"))
+        self.splits = split_names(folder)
         if not self.splits:
             raise MissingFileError(
                 "no manifest/<split>.jsonl in this folder",
@@ -92,6 +92,12 @@ def _taken(cursors: Sequence[_SplitCursor], source: str, scene_id: str) -> Scene
         while cursor.scene == (source, scene_id):
             run.rows.append(cursor.take())
     return run
+
+
+def split_names(folder: Path) -> list[str]:
+    """Return the sorted names of an export's splits: those of its manifests. One that is not UTF-8 is no split's."""
+    names = sorted(path.stem for path in (folder / "manifest").glob("*.jsonl"))
+    return [name for name in names if shown_path(name) == name]
 
 
 class _SplitCursor:

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from condvln.collector import no_collection
+from condvln.formats.regular_file import read_regular
 from condvln.navigation.follower import Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -160,7 +161,7 @@ def find_navmesh(scene: Scene, folder: Path, claimed: str) -> Navmesh:
         path, name = scene.root / scene.navmesh.path, scene.navmesh.path
     else:
         raise MissingFileError(f"neither the scene nor the export has a navmesh {claimed!r}", where=folder)
-    return Navmesh(name, hashlib.sha256(path.read_bytes()).hexdigest(), Pathfinder.load(path))
+    return Navmesh(name, hashlib.sha256(read_regular(path)).hexdigest(), Pathfinder.load(path))
 
 
 def _certificate(row: Row) -> Certificate:

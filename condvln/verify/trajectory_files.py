@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from condvln.formats.image_files import encoders_of
-from condvln.formats.parquet_rows import refuse_more_rows_than_bytes
+from condvln.formats.parquet_rows import refuse_parquet_bombs
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import FormatError, MissingFileError
 from schemas.first_fault import first_fault
@@ -117,7 +117,7 @@ def read_annotations(folder: Path) -> list[dict[str, Any]]:
 def read_table(folder: Path, name: str) -> pa.Table:
     path = folder / f"{name}.parquet"
     try:
-        refuse_more_rows_than_bytes(path)
+        refuse_parquet_bombs(path)
         found = pq.read_table(path)
         _refuse_other_columns(found.schema, name)
         _refuse_missing_values(found, name)
@@ -148,7 +148,7 @@ def _refuse_missing_values(table: pa.Table, name: str) -> None:
 def walks_with_poses(path: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Yield each walk with its poses. Only one row group, which is one scene, is in memory at a time."""
     try:
-        refuse_more_rows_than_bytes(path)
+        refuse_parquet_bombs(path)
         with pq.ParquetFile(path) as file:
             _refuse_other_columns(file.schema_arrow, "poses")
             for group in range(file.num_row_groups):

@@ -51,5 +51,6 @@ Graphs = Annotated[
 ]
 
 EXIT_CODES: Final = (
-    "Exit codes: 0 done, 1 usage, 3 done with quarantined scenes or failed proofs, 4 over the failure budget."
+    "Exit codes: 0 done, 1 usage or a file that can't be written, 3 done with quarantined scenes or failed proofs, "
+    "4 over the failure budget."
 )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import socket
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -189,3 +191,58 @@ def test_over_the_failure_budget_the_run_stops(dataset: Path, configured: Callab
     for path in (dataset / "configs" / "scenes").glob("*.json"):
         path.write_text("{")
     assert run_generate(configured(dataset), inline=True).exit_code == 4
+
+
+@pytest.mark.parametrize("name", ["configs/lighting/made.lighting_config.json", "configs/lighting/another.json", "x"])
+def test_a_link_to_itself_that_no_scene_needs_costs_nothing(
+    name: str, dataset: Path, configured: Callable[..., Config], made_run: tuple[Config, Report]
+) -> None:
+    (dataset / name).unlink(missing_ok=True)
+    (dataset / name).symlink_to(Path(name).name)
+    report = run_generate(configured(dataset), inline=True)
+    assert (report.exit_code, report.document["counts"]["ok"]) == (0, len(SOUND) + 1)
+
+
+@pytest.mark.parametrize("kind", ["FIFO", "socket", "link to /dev/zero", "link to itself"])
+@pytest.mark.parametrize("of", ["scene", "own object", "own mesh", "navmesh"])
+def test_what_is_no_file_costs_its_scene_only(
+    of: str, kind: str, dataset: Path, configured: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(dataset)
+    path = {
+        "scene": scene_file,
+        "own object": lambda root: root / "configs" / "objects" / f"{own_object(root)}.object_config.json",
+        "own mesh": lambda root: root / "objects" / f"{own_object(root)}.glb",
+        "navmesh": navmesh,
+    }[of](dataset)
+    path.unlink()
+    if kind == "FIFO":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(os.path.relpath(path))  # a socket's whole path may be too long
+    else:
+        path.symlink_to("/dev/zero" if kind == "link to /dev/zero" else path.name)
+    report = run_generate(configured(dataset), inline=True)
+    assert report.exit_code == 3
+    (unit,) = quarantined(report)
+    assert unit == f"replicacad/{BROKEN}"
+    assert path.name in quarantined(report)[unit]
+
+
+@pytest.mark.parametrize("of", ["scene", "object nobody names"])
+def test_a_name_that_is_not_utf_8_costs_nothing_else(
+    of: str, dataset: Path, configured: Callable[..., Config], made_run: tuple[Config, Report]
+) -> None:
+    """Its message can be printed, stored and read as JSON; all scenes with sound names are made."""
+    kind, suffix = ("scenes", "scene_instance") if of == "scene" else ("objects", "object_config")
+    folder = dataset / "configs" / kind
+    shutil.copy(min(folder.iterdir()), os.fsdecode(os.fsencode(folder) + f"/\xff.{suffix}.json".encode("latin-1")))
+    report = run_generate(configured(dataset), inline=True)
+    assert report.exit_code == 3
+    assert report.document["counts"]["ok"] == len(SOUND) + 1
+    name = rf"configs/{kind}/\xff.{suffix}.json"
+    ((unit, message),) = quarantined(report).items()
+    assert unit == f"replicacad/{name}"
+    assert f"{name}: the name is not UTF-8 text" in message
+    json.dumps(report.as_json(), ensure_ascii=False).encode()

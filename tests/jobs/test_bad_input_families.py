@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import shutil
+import socket
 import struct
 import zipfile
 from collections.abc import Callable
@@ -159,6 +160,49 @@ def claiming_navmesh(path: Path, root: Path) -> str:
     return navmesh.name
 
 
+def fifo(path: Path, root: Path) -> str:
+    """Opening it waits for a writer that never comes."""
+    path.unlink()
+    os.mkfifo(path)
+    return "it is a FIFO, not a file"
+
+
+def unix_socket(path: Path, root: Path) -> str:
+    path.unlink()
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(path))  # a socket's whole path may be too long
+    return "it is a socket, not a file"
+
+
+def endless(path: Path, root: Path) -> str:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    return "leads out of the dataset"
+
+
+def own_target(path: Path, root: Path) -> str:
+    path.unlink()
+    path.symlink_to(path.name)
+    return "Too many levels of symbolic links"
+
+
+def fifo_mesh(path: Path, root: Path) -> str:
+    """The mesh of a building that is sound otherwise."""
+    (mesh,) = (p for p in root.rglob(f"{path.name.split('.')[0]}.glb"))
+    return fifo(mesh, root)
+
+
+def socket_navmesh(path: Path, root: Path) -> str:
+    (navmesh,) = (p for p in root.rglob(f"{path.name.split('.')[0]}.navmesh"))
+    return unix_socket(navmesh, root)
+
+
+def nameless(path: Path, root: Path) -> str:
+    """The name begins with a byte that UTF-8 does not have."""
+    path.rename(os.fsdecode(os.fsencode(path.parent) + b"/\xff" + os.fsencode(path.name)))
+    return "the name is not UTF-8 text"
+
+
 CASES: dict[str, dict[str, tuple[str, Spoil]]] = {
     "procthor": {
         "deep.json": ("deep", deep),
@@ -167,16 +211,24 @@ CASES: dict[str, dict[str, tuple[str, Spoil]]] = {
         "link.json": ("link", leaving),
         "bomb.jsonl.gz": ("bomb", bomb),
         "lines.jsonl": ("lines-0", deep_line),
+        "fifo.json": ("fifo", fifo),
+        "fifo-lines.jsonl": ("fifo-lines", fifo),
+        "socket.json": ("socket", unix_socket),
+        "zero.json": ("zero", endless),
+        "itself.json": ("itself", own_target),
+        "latin.json": (r"\xfflatin.json", nameless),
     },
     "ithor": {
         "FloorPlan2.json": ("FloorPlan2", deep),
         "FloorPlan3.json": ("FloorPlan3", far),
         "FloorPlan4.json": ("FloorPlan4", cut),
+        "FloorPlan5.json": ("FloorPlan5", fifo),
     },
     "robothor": {
         "FloorPlan_Val1_1.json": ("FloorPlan_Val1_1", deep),
         "FloorPlan_Val1_2.json": ("FloorPlan_Val1_2", far),
         "FloorPlan_Val1_3.json": ("FloorPlan_Val1_3", cut),
+        "FloorPlan_Val1_4.json": ("FloorPlan_Val1_4", unix_socket),
     },
     "mp3d": {
         "claim/house_segmentations/claim.house": ("claim", claiming_house),
@@ -185,12 +237,19 @@ CASES: dict[str, dict[str, tuple[str, Spoil]]] = {
         "link/house_segmentations/link.house": ("link", leaving),
         "mesh/house_segmentations/mesh.house": ("mesh", climbing_glb),
         "polygons/house_segmentations/polygons.house": ("polygons", claiming_navmesh),
+        "fifo/house_segmentations/fifo.house": ("fifo", fifo),
+        "glb/house_segmentations/glb.house": ("glb", fifo_mesh),
+        "walk/house_segmentations/walk.house": ("walk", socket_navmesh),
+        "zero/house_segmentations/zero.house": ("zero", endless),
+        "latin/house_segmentations/latin.house": (r"latin/house_segmentations/\xfflatin.house", nameless),
     },
     "gibson": {
         "verified/deep.scn": ("verified/deep", deep),
         "verified/far.scn": ("verified/far", far_building),
         "verified/link.scn": ("verified/link", leaving),
         "verified/polygons.scn": ("verified/polygons", claiming_navmesh),
+        "verified/fifo.scn": ("verified/fifo", fifo),
+        "verified/latin.scn": (r"verified/\xfflatin.scn", nameless),
         "verified/3DSceneGraph_code.npz": ("verified/code", executing),
         "verified/3DSceneGraph_bomb.npz": ("verified/bomb", zip_bomb),
         "verified/3DSceneGraph_pickle.npz": ("verified/pickle", claiming_pickle),
@@ -238,7 +297,8 @@ def copied(family: str, root: Path, path: str) -> Path:
 
 
 @pytest.mark.parametrize("family", sorted(CASES))
-def test_hostile_files_cost_their_own_scenes_only(family: str, tmp_path: Path) -> None:
+def test_hostile_files_cost_their_own_scenes_only(family: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     root = tmp_path / "data"
     whole = sound(family, root)
     expected = {}

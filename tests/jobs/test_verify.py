@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import re
 import shutil
+import socket
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY
+from condvln.formats.regular_file import open_regular
 from jobs.export import export_snapshot_of
 from jobs.report import Report
 from jobs.verify import verify_export
 from schemas.config import Config
+from tests.jobs.test_full_disk import files_of_at_most
 
 
 @pytest.fixture(scope="module")
@@ -136,3 +142,92 @@ def test_an_export_of_a_file_a_scene_is_proven_too(made: Config, tmp_path: Path)
     assert any(
         fault.startswith(f"vlnce/{shard.parent.parent.name}/content/") for fault in faults(config, tmp_path / "sharded")
     )
+
+
+@pytest.mark.parametrize("refusal", ["a file in the way", "no new files", "a full disk", "old certificates stay"])
+def test_where_no_report_can_be_written_the_result_is_still_told(refusal: str, made: Config, folder: Path) -> None:
+    """The result is printed, one line names the file, and the exit code is 1: not all was done, and no proof failed."""
+    certificates, old = folder / CERTIFICATES, b'{"of": "an earlier run"}'
+    if refusal == "a file in the way":
+        certificates.write_text("here first")
+    elif refusal == "no new files":
+        certificates.symlink_to("/proc")  # for root, too
+    elif refusal == "old certificates stay":
+        certificates.mkdir()
+        (certificates / "train.jsonl").write_bytes(old)
+        (certificates / f".{largest(folder)}.jsonl.part").mkdir()
+    with files_of_at_most(500) if refusal == "a full disk" else nullcontext():
+        report = verify_export(made, folder)
+    document = report.document
+    assert document["proven"] == document["episodes"] > 0
+    assert document["faults"] == []
+    assert (document["unwritten"]["file"], report.exit_code) == (f"{CERTIFICATES}/{largest(folder)}.jsonl", 1)
+    assert report.lines[0].startswith(f"{document['proven']:,} of {document['episodes']:,} episodes proven")
+    (line,) = [line for line in report.lines if line.startswith("NOT WRITTEN: ")]
+    assert line.startswith(f"NOT WRITTEN: {certificates / largest(folder)}.jsonl: can't be written: ")
+    assert line.endswith("files of an earlier run lie there") == (refusal == "old certificates stay")
+    assert not any(line.startswith("certificates in") for line in report.lines)
+    if refusal == "a full disk":
+        assert [*certificates.iterdir()] == []
+    if refusal == "old certificates stay":
+        assert (certificates / "train.jsonl").read_bytes() == old
+        # A proof that fails is told by the exit code, whether the report can be written or not.
+        (folder / "ansr" / largest(folder) / f"{largest(folder)}.json.gz").unlink()
+        assert verify_export(made, folder).exit_code == 3
+
+
+def fifo(path: Path) -> str:
+    os.mkfifo(path)
+    return "a FIFO"
+
+
+def unix_socket(path: Path) -> str:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(path))  # a socket's whole path may be too long
+    return "a socket"
+
+
+def endless(path: Path) -> str:
+    path.symlink_to("/dev/zero")
+    return "a character device"
+
+
+def own_target(path: Path) -> str:
+    path.symlink_to(path.name)
+    return "symbolic links"
+
+
+SPECIAL = [fifo, unix_socket, endless, own_target]
+
+
+@pytest.mark.parametrize("spoil", SPECIAL, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "name", ["export.json", "origin.json", "manifest/{}.jsonl", "vlnce/{0}/{0}.json.gz", "ansr/{0}/{0}.json.gz"]
+)
+def test_what_is_no_file_is_a_fault_that_names_it(
+    name: str, spoil: Callable[[Path], str], made: Config, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither waited for nor read without end."""
+    monkeypatch.chdir(folder)
+    own = folder / name.format(largest(folder))
+    own.unlink()
+    spoil(own)
+    report = verify_export(made, folder)
+    assert report.exit_code == 3
+    assert own.relative_to(folder).as_posix() in [fault["file"] for fault in report.document["faults"]]
+
+
+@pytest.mark.parametrize("spoil", SPECIAL, ids=lambda f: f.__name__)
+def test_a_file_that_is_opened_is_a_regular_file(
+    spoil: Callable[[Path], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = spoil(tmp_path / "x")
+    with pytest.raises(OSError, match=words):
+        open_regular(tmp_path / "x")
+
+
+def test_a_name_that_is_not_utf_8_is_a_fault_that_can_be_printed(made: Config, folder: Path) -> None:
+    name = os.fsencode(folder / "manifest") + b"/\xff.jsonl"
+    shutil.copy(folder / "manifest" / f"{largest(folder)}.jsonl", os.fsdecode(name))
+    assert faults(made, folder) == [r"manifest/\xff.jsonl: is not listed in export.json"]

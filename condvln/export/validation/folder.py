@@ -19,7 +19,7 @@ from condvln.export.validation.truths import check_truths
 from condvln.formats.json_entries import nonstandard_number
 from condvln.formats.streams import read_unpacked
 from condvln.navigation.graph_pathfinder import GraphPathfinder
-from schemas.errors import InputError, UsageError
+from schemas.errors import InputError, UsageError, shown_path
 
 __all__ = ["Options", "validate"]
 
@@ -120,7 +120,7 @@ def _joined(split: Document, shard: Document, file: str, *, shards: bool) -> Ite
 
 
 def _files_below(path: Path) -> list[Path]:
-    found = [file for file in sorted(path.rglob("*")) if file.name.endswith(_SUFFIXES) and file.is_file()]
+    found = [file for file in sorted(path.rglob("*")) if file.name.endswith(_SUFFIXES) and not file.is_dir()]
     episodes = [file for file in found if file.parent.name != CERTIFICATES]
     return [file for file in episodes if file.name not in _OTHERS and not file.name.startswith(".")]
 
@@ -138,7 +138,7 @@ def _stem(file: Path) -> str:
 
 
 def _shown(file: Path, root: Path) -> str:
-    return file.relative_to(root).as_posix() if root.is_dir() else file.name
+    return shown_path(file.relative_to(root).as_posix() if root.is_dir() else file.name)
 
 
 def _place(file: Path) -> tuple[Path, str]:

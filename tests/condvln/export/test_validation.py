@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gzip
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -269,3 +270,17 @@ def test_every_code_has_a_remedy_and_is_used(repository: Path) -> None:
     for code, rule in CODES.items():
         assert rule.remedy
         assert source.count(f'"{code}"') >= 2, code
+
+
+def test_what_is_no_file_is_a_finding(tmp_path: Path) -> None:
+    """Neither waited for nor read without end; a name that is not UTF-8 can be printed."""
+    os.mkfifo(tmp_path / "fifo.json.gz")
+    (tmp_path / "zero.json").symlink_to("/dev/zero")
+    (tmp_path / "itself.json").symlink_to("itself.json")
+    (tmp_path / os.fsdecode(b"\xff.json")).write_text("[")
+    found = {finding.file: (finding.code, finding.message) for finding in validate(tmp_path)}
+    assert {file: code for file, (code, _) in found.items()} == dict.fromkeys(
+        ["fifo.json.gz", "zero.json", "itself.json", r"\xff.json"], "unreadable"
+    )
+    assert found["fifo.json.gz"][1] == "can't be read: it is a FIFO, not a file"
+    assert found["zero.json"][1] == "can't be read: it is a character device, not a file"

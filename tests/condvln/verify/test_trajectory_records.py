@@ -6,6 +6,7 @@ import hashlib
 import re
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from condvln.formats import parquet_rows
 from condvln.formats.image_files import png16
 from condvln.trajectories.recipe import Recipe, RecipeRecord
 from condvln.verify.trajectories import _Frames, prove_trajectories
@@ -129,6 +131,67 @@ def test_rows_that_fill_the_memory_are_refused_before_they_are_read(
     ):
         with pytest.raises(FormatError, match="1,000,000 rows in a file of"):
             reads()
+
+
+def repeated() -> pa.Table:
+    """One text of a megabyte, 300 times."""
+    text = pa.DictionaryArray.from_arrays(pa.array([0] * 300, pa.int32()), pa.array(["x" * (1 << 20)]))
+    return pa.table({"trajectory": text, "number": range(300)})
+
+
+def prefixed() -> pa.Table:
+    """Texts of a megabyte, each stored as what follows after the one before."""
+    return pa.table({"trajectory": ["x" * (1 << 20)] * 300, "number": range(300)})
+
+
+def listed() -> pa.Table:
+    """A list of 80 million equal numbers in one row."""
+    values = pa.DictionaryArray.from_arrays(pa.array(np.zeros(80_000_000, np.int8)), pa.array([0], pa.int8()))
+    return pa.table({"actions": pa.ListArray.from_arrays([0, len(values)], values.dictionary_decode())})
+
+
+@pytest.mark.parametrize(
+    ("table", "options"),
+    [
+        (repeated, {}),
+        (prefixed, {"use_dictionary": False, "column_encoding": {"trajectory": "DELTA_BYTE_ARRAY"}}),
+        (listed, {}),
+    ],
+    ids=["repeated", "prefixed", "listed"],
+)
+def test_values_that_fill_the_memory_are_refused_before_they_are_decoded(
+    table: Callable[[], pa.Table], options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"images_written": False}))
+    for name in TRAJECTORY_TABLES:
+        path = tmp_path / f"{name}.parquet"
+        pq.write_table(table(), path, compression="zstd", store_schema=False, **options)
+        assert path.stat().st_size < 200_000
+    monkeypatch.setattr(pq, "read_table", lambda *_given, **_named: pytest.fail("the rows were read"))
+    for reads in (
+        lambda: prove_trajectories(tmp_path, None),  # type: ignore[arg-type]
+        lambda: next(walks_with_poses(tmp_path / "poses.parquet")),
+        lambda: Recipe(tmp_path).scenes,
+    ):
+        allocated = pa.total_allocated_bytes()
+        with pytest.raises(FormatError, match=r"\.parquet: .*whose rows take more than 268,435,456 bytes"):
+            reads()
+        assert pa.total_allocated_bytes() - allocated < 64 << 20
+
+
+def test_the_memory_of_a_table_is_bounded_exactly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of texts by what each decoded row takes, of numbers by their width."""
+    path = tmp_path / "x.parquet"
+    texts = ["ab" * 100, None, "ü" * 50] * 50
+    table = pa.table({"text": texts, "number": pa.array([7] * len(texts), pa.int64())})
+    pq.write_table(table, path, row_group_size=40)
+    size = 50 * (200 + 100) + 8 * len(texts)
+    monkeypatch.setattr(parquet_rows, "MAX_RATIO", 0)
+    monkeypatch.setattr(parquet_rows, "FREE_BYTES", size)
+    parquet_rows.refuse_parquet_bombs(path)
+    monkeypatch.setattr(parquet_rows, "FREE_BYTES", size - 1)
+    with pytest.raises(ValueError, match=f"whose rows take more than {size - 1:,} bytes"):
+        parquet_rows.refuse_parquet_bombs(path)
 
 
 @pytest.mark.parametrize("actions", [5, None, {"a": 1}, "0123"])
