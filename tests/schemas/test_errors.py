@@ -7,9 +7,9 @@ import pickle
 import pytest
 
 from schemas import errors
-from schemas.errors import CondVLNError, FormatError
+from schemas.errors import CondVLNError, FormatError, shown_path
 
-KINDS = [getattr(errors, name) for name in errors.__all__]
+KINDS = [kind for name in errors.__all__ if isinstance(kind := getattr(errors, name), type)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -39,3 +39,10 @@ def test_all_is_sorted_and_whole() -> None:
     assert list(errors.__all__) == sorted(defined)
     for name in defined:
         assert name in (errors.__doc__ or "")
+
+
+def test_a_name_that_is_not_utf_8_is_shown_by_its_bytes() -> None:
+    assert shown_path("a/ü.json") == "a/ü.json"
+    assert shown_path("a/\udcff.json") == r"a/\xff.json"
+    assert shown_path("\ud800") == r"\ud800"
+    assert str(FormatError("not JSON", where="a/\udcff.json")) == r"a/\xff.json: not JSON"
