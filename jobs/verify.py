@@ -23,7 +23,8 @@ from jobs.pipeline import open_configured
 from jobs.report import Report, Section
 from jobs.workspace import published
 from schemas.config import Config
-from schemas.errors import InputError, MissingFileError, ProofError, StoreError, shown_path
+from schemas.errors import InputError, MissingFileError, ProofError, StoreError
+from schemas.file_name import shown_path
 
 __all__ = ["verify_export"]
 

@@ -12,8 +12,9 @@ from pydantic import ValidationError
 
 from condvln.episodes.placing import heading_degrees
 from condvln.formats.json_entries import json_lines, parsed
-from schemas.errors import FormatError, shown_path
+from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
+from schemas.file_name import shown_path
 from schemas.version import SCHEMA_VERSION
 
 __all__ = [

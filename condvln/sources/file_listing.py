@@ -8,15 +8,8 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 from condvln.formats.dataset_root import TRANSIENT, DatasetRoot
-from schemas.errors import (
-    ConfigError,
-    FormatError,
-    InputError,
-    MissingFileError,
-    PathEscapeError,
-    TransientIOError,
-    shown_path,
-)
+from schemas.errors import ConfigError, FormatError, InputError, MissingFileError, PathEscapeError, TransientIOError
+from schemas.file_name import shown_path
 
 __all__ = ["FileListing", "is_folder", "list_files"]
 

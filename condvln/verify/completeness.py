@@ -15,7 +15,7 @@ from typing import Any, Final
 from condvln.export.contents import INDEX, ORIGIN, document_digest, read_document, read_index
 from condvln.formats.regular_file import open_regular
 from condvln.verify.files import split_names
-from schemas.errors import shown_path
+from schemas.file_name import shown_path
 
 __all__ = ["Fault", "find_faults", "row_counts"]
 

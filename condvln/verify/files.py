@@ -13,8 +13,9 @@ from pydantic import ValidationError
 
 from condvln.formats.json_entries import entries, json_lines, opened, parsed
 from condvln.formats.json_scan import new_state, scan
-from schemas.errors import FormatError, MissingFileError, shown_path
+from schemas.errors import FormatError, MissingFileError
 from schemas.evaluation import ManifestEpisode
+from schemas.file_name import shown_path
 
 __all__ = ["ExportFiles", "Row", "SceneRun", "Unread", "split_names"]
 

@@ -19,7 +19,8 @@ from condvln.export.validation.truths import check_truths
 from condvln.formats.json_entries import nonstandard_number
 from condvln.formats.streams import read_unpacked
 from condvln.navigation.graph_pathfinder import GraphPathfinder
-from schemas.errors import InputError, UsageError, shown_path
+from schemas.errors import InputError, UsageError
+from schemas.file_name import shown_path
 
 __all__ = ["Options", "validate"]
 
