@@ -57,10 +57,7 @@ def holding_of(arrays: RoomArrays) -> Holding:
 
 def closure(direct: Mask) -> Mask:
     """Return a mask (n, n): whether a chain of one or more links of the mask `direct` (n, n) leads from i to j."""
-    found = direct
-    while True:
-        steps = found.astype(np.float32)
-        longer = found | (steps @ steps > 0)
-        if (longer == found).all():
-            return found
-        found = longer
+    found = direct.copy()
+    for k in np.flatnonzero(direct.any(axis=0) & direct.any(axis=1)).tolist():  # the links through k (Warshall, 1962)
+        found[found[:, k]] |= found[k]
+    return found

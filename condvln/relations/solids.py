@@ -66,6 +66,33 @@ def _bvh_of(asset: GlbGeometry) -> Any:
     return _bvh(asset.vertices, asset.faces)
 
 
+@lru_cache(maxsize=ASSETS_KEPT)
+def _used_vertices(asset: GlbGeometry) -> NDArray[np.intp] | None:
+    """Return the vertices (u,) of an asset that faces use; None if all are used."""
+    used = np.unique(asset.faces)
+    return None if len(used) == len(asset.vertices) else used.astype(np.intp)
+
+
+@lru_cache(maxsize=ASSETS_KEPT)
+def _pieces_of(asset: GlbGeometry) -> NDArray[np.intp]:
+    """Return one vertex (p,) of each connected piece of an asset."""
+    return _one_of_each_piece(asset.vertices, asset.faces)
+
+
+def _one_of_each_piece(vertices: F64, faces: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Return one vertex (p,) of each connected piece of a surface; vertices at equal positions are merged."""
+    _, first, merged = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    corner = merged.reshape(-1)[faces]
+    ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]]])
+    graph = coo_array((np.ones(len(ends), dtype=bool), (ends[:, 0], ends[:, 1])), shape=(len(first), len(first)))
+    piece = connected_components(graph, directed=False)[1]
+    # Vertices that no face uses would be pieces of their own, but are no part of the surface.
+    used = np.unique(corner)
+    _, one_each = np.unique(piece[used], return_index=True)
+    chosen: NDArray[np.intp] = first[used[one_each]]
+    return chosen
+
+
 @dataclass(frozen=True, eq=False)
 class BoxSolid:
     """A box: center (3,), half_extents (3,) metres, rotation (3, 3) with the box's axes as columns."""
@@ -91,6 +118,11 @@ class BoxSolid:
         return fcl.CollisionObject(_bvh(self.vertices, _BOX_FACES))
 
     @property
+    def has_inside(self) -> bool:
+        """Whether points can lie inside."""
+        return True
+
+    @property
     def pieces(self) -> F64:
         """(1, 3) one point on each connected piece of the surface."""
         return self.vertices[:1]
@@ -110,7 +142,9 @@ class MeshSolid:
     @cached_property
     def extent(self) -> F64:
         """(2, 3) [min, max] of the vertices that faces use."""
-        used = self.mesh.vertices[self.mesh.faces.reshape(-1)]
+        mesh = self.mesh
+        chosen = np.unique(mesh.faces) if mesh.asset is None else _used_vertices(mesh.asset)
+        used = mesh.vertices if chosen is None else mesh.vertices[chosen]
         return np.array([used.min(axis=0), used.max(axis=0)])
 
     @cached_property
@@ -121,19 +155,17 @@ class MeshSolid:
         pose = fcl.Transform(self.mesh.pose[:3, :3], self.mesh.pose[:3, 3])
         return fcl.CollisionObject(_bvh_of(self.mesh.asset), pose)
 
+    @property
+    def has_inside(self) -> bool:
+        """Whether points can lie inside."""
+        return self.mesh.watertight
+
     @cached_property
     def pieces(self) -> F64:
         """(p, 3) one point on each connected piece of the surface; vertices at equal positions are merged."""
-        faces = self.mesh.faces
-        _, first, merged = np.unique(self.mesh.vertices, axis=0, return_index=True, return_inverse=True)
-        corner = merged.reshape(-1)[faces]
-        ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]]])
-        graph = coo_array((np.ones(len(ends), dtype=bool), (ends[:, 0], ends[:, 1])), shape=(len(first), len(first)))
-        piece = connected_components(graph, directed=False)[1]
-        # Vertices that no face uses would be pieces of their own, but are no part of the surface.
-        used = np.unique(corner)
-        _, one_each = np.unique(piece[used], return_index=True)
-        points: F64 = self.mesh.vertices[first[used[one_each]]]
+        mesh = self.mesh
+        chosen = _one_of_each_piece(mesh.vertices, mesh.faces) if mesh.asset is None else _pieces_of(mesh.asset)
+        points: F64 = mesh.vertices[chosen]
         return points
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
@@ -172,6 +204,11 @@ class CompoundSolid:
         """The surfaces of all parts, 12 triangles each."""
         faces = [_BOX_FACES + 8 * k for k in range(len(self.parts))]
         return fcl.CollisionObject(_bvh(np.concatenate([part.vertices for part in self.parts]), np.concatenate(faces)))
+
+    @property
+    def has_inside(self) -> bool:
+        """Whether points can lie inside."""
+        return True
 
     @cached_property
     def pieces(self) -> F64:

@@ -79,8 +79,10 @@ def solid_distance(first: Solid, second: Solid) -> float:
     distance = max(float(fcl.distance(first.surface, second.surface, _REQUEST, fcl.DistanceResult())), gap)
     if distance == 0.0 or gap > 0.0:
         return distance
-    holds = first.contains(second.pieces).any() or second.contains(first.pieces).any()
-    return 0.0 if holds else distance
+    for one, other in ((first, second), (second, first)):
+        if one.has_inside and one.contains(other.pieces).any():
+            return 0.0
+    return distance
 
 
 def _between_boxes(first: Sequence[BoxSolid], second: Sequence[BoxSolid]) -> F64:

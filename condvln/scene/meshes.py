@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,14 @@ __all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh", "shared_library"]
 CACHE_BYTES: Final = 192 << 20
 """Size limit of the cache of decoded geometry; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
 
+BODIES_KEPT: Final = 64
+"""Number of bodies of several or scaled parts that are kept in one piece; ReplicaCAD has seven."""
+
+PLACE_DIGITS: Final = 10
+"""Decimals to which a part's place in its body's frame is rounded: 0.1 nm, so that a body has the same shape wherever
+it is placed.
+"""
+
 RIGID_TOLERANCE: Final = 1e-12
 """Tolerance of R·Rᵀ against the identity for rotations that keep lengths: 0.01 nm at 10 m."""
 
@@ -32,7 +41,8 @@ class WorldMesh:
 
     watertight : all parts are closed surfaces, so that "inside" is defined
     asset, pose : the triangles in their own frame and the rigid placement (4, 4) that they were moved by; None for what
-        has several parts or is scaled
+        is stretched or mirrored. All scenes of a process share the asset, also that of a body of several or scaled
+        parts: in the body's frame, the places of its parts are rounded to `PLACE_DIGITS`.
     """
 
     vertices: NDArray[np.float64]
@@ -50,6 +60,7 @@ class MeshLibrary:
         self._cache: OrderedDict[tuple[str, int, int], GlbGeometry] = OrderedDict()
         self._cache_bytes = cache_bytes
         self._used_bytes = 0
+        self._assembled = lru_cache(maxsize=BODIES_KEPT)(_assembled)
 
     def geometry(self, path: str) -> GlbGeometry:
         """Return the triangles of a file in its own frame.
@@ -75,7 +86,7 @@ class MeshLibrary:
         geometry = self.geometry(part.path)
         faces = geometry.faces
         turned = part.transform[:3, :3]
-        rigid = bool(np.abs(turned @ turned.T - np.eye(3)).max() <= RIGID_TOLERANCE)
+        rigid = _is_rotation(turned)
         if np.linalg.det(turned) < 0:
             faces, rigid = faces[:, ::-1], False
         vertices = transform_points(part.transform, geometry.vertices)
@@ -86,14 +97,50 @@ class MeshLibrary:
     def world_mesh(self, item: SceneObject) -> WorldMesh | None:
         """Return all parts of an object as one mesh; None if the object has no mesh."""
         parts = [self.placed(part) for part in item.mesh]
-        if len(parts) <= 1:
+        if not parts or (len(parts) == 1 and parts[0].asset is not None):
             return parts[0] if parts else None
-        starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
-        return WorldMesh(
-            vertices=np.concatenate([p.vertices for p in parts]),
-            faces=np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)]).astype(np.int32),
-            watertight=all(p.watertight for p in parts),
-        )
+        vertices = np.concatenate([p.vertices for p in parts])
+        transforms = np.array([part.transform for part in item.mesh])
+        pose = _pose_of(transforms)
+        if pose is None:
+            faces = _all_faces([p.faces for p in parts], [len(p.vertices) for p in parts])
+            return WorldMesh(vertices, faces, all(p.watertight for p in parts))
+        places = np.round(np.linalg.inv(pose) @ transforms, PLACE_DIGITS) + 0.0
+        body = self._assembled(tuple(self.geometry(part.path) for part in item.mesh), places.tobytes())
+        return WorldMesh(vertices, body.faces, body.watertight, body, pose)
+
+
+def _pose_of(transforms: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the rigid placement (4, 4) of a body, given the transforms (n, 4, 4) of its parts: that of its first part,
+    without the scale. None if that part is stretched, or one of the parts is mirrored.
+    """
+    volumes = np.linalg.det(transforms[:, :3, :3])
+    if not (volumes > 0).all():
+        return None
+    pose = transforms[0].copy()
+    pose[:3, :3] /= np.cbrt(volumes[0])
+    return pose if _is_rotation(pose[:3, :3]) else None
+
+
+def _is_rotation(turned: NDArray[np.float64]) -> bool:
+    """Return whether a matrix (3, 3) keeps lengths."""
+    return bool(np.abs(turned @ turned.T - np.eye(3)).max() <= RIGID_TOLERANCE)
+
+
+def _assembled(assets: Sequence[GlbGeometry], places: bytes) -> GlbGeometry:
+    """Return the parts of a body as one. `places` are the transforms (n, 4, 4) float64 of the parts into its frame."""
+    matrices = np.frombuffer(places).reshape(-1, 4, 4)
+    return GlbGeometry(
+        np.concatenate([transform_points(m, asset.vertices) for m, asset in zip(matrices, assets, strict=True)]),
+        _all_faces([asset.faces for asset in assets], [len(asset.vertices) for asset in assets]),
+        all(asset.watertight for asset in assets),
+    )
+
+
+def _all_faces(faces: Sequence[NDArray[np.int32]], counts: Sequence[int]) -> NDArray[np.int32]:
+    """Return the faces of parts as those of one mesh. The parts have so many vertices each, which follow each other."""
+    starts = np.cumsum([0, *counts[:-1]])
+    return np.concatenate([own + start for own, start in zip(faces, starts, strict=True)]).astype(np.int32)
 
 
 def _bytes(geometry: GlbGeometry) -> int:

@@ -13,10 +13,12 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
+from condvln.formats.glb import GlbGeometry
 from condvln.relations.metrics import pair_metrics
 from condvln.relations.solids import BoxSolid, MeshSolid, is_its_aabb, solid_of
 from condvln.relations.surface import solid_distance, surface_distances
 from condvln.scene import OrientedBox, RoomArrays, SceneObject
+from condvln.scene.boxes import placement, transform_points
 from condvln.scene.meshes import WorldMesh
 
 EYE = np.eye(3)
@@ -99,6 +101,28 @@ def test_what_lies_inside_is_at_distance_zero(shift: tuple[float, float, float])
     assert solid_distance(ball, inner) == solid_distance(inner, ball) == 0.0
     # A surface that is not closed has no inside: the gap stands.
     assert solid_distance(shell, inner) == solid_distance(inner, shell) > 0.5
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.7])
+def test_a_shared_shape_gives_the_distances_of_its_triangles(scale: float) -> None:
+    """A ball with a smaller one beside it and a vertex that no face uses, placed by a pose or given in the scene."""
+    balls = [trimesh.creation.icosphere(2, r).apply_translation([x, 0, 0]) for r, x in ((0.5, 0.0), (0.1, 0.8))]
+    both = trimesh.util.concatenate(balls).apply_scale(scale)
+    vertices, faces = np.vstack([[9.0, 9.0, 9.0], both.vertices]), np.asarray(both.faces, np.int32) + 1
+    asset = GlbGeometry(vertices, faces, True)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        pose = placement(Rotation.random(rng=rng).as_matrix(), rng.uniform(-1, 1, 3))
+        placed = transform_points(pose, vertices)
+        shared, alone = (
+            MeshSolid(WorldMesh(placed, faces, True, asset, pose)),
+            MeshSolid(WorldMesh(placed, faces, True)),
+        )
+        box = BoxSolid(rng.uniform(-1, 1, 3), rng.uniform(0.01, 0.3, 3), Rotation.random(rng=rng).as_matrix())
+        np.testing.assert_array_equal(shared.extent, alone.extent)
+        assert len(shared.pieces) == len(alone.pieces) == 2
+        assert solid_distance(shared, box) == pytest.approx(solid_distance(alone, box), abs=1e-12)
+        assert solid_distance(box, shared) == pytest.approx(solid_distance(box, alone), abs=1e-12)
 
 
 def test_one_piece_inside_is_enough() -> None:

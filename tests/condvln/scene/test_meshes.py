@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from condvln.scene import MeshPart, SceneObject
-from condvln.scene.boxes import placement
+from condvln.scene.boxes import placement, transform_points
 from condvln.scene.meshes import MeshLibrary
 from schemas.errors import FormatError, MissingFileError, PathEscapeError
+
+TURN = Rotation.from_euler("yxz", [30, 20, 10], degrees=True).as_matrix()
 
 
 @pytest.fixture
@@ -40,6 +43,49 @@ def test_a_mirrored_part_keeps_its_outside_outside(folder: Path) -> None:
     mesh = MeshLibrary(folder).world_mesh(item(MeshPart("a.glb", placement(scale=[-1, 2, 1]))))
     assert mesh is not None
     assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume == pytest.approx(2)
+
+
+def test_a_body_of_scaled_parts_has_one_shape_wherever_it_stands(folder: Path) -> None:
+    """Placed by its pose, the shared shape is the mesh in the scene, to a nanometre."""
+    library = MeshLibrary(folder)
+    inside = (placement(scale=0.4), placement(rotation=TURN, translation=[1 / 3, 2, -1], scale=[0.4, 0.5, 0.4]))
+    shapes = []
+    for seed in range(20):
+        turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+        place = placement(rotation=turn, translation=[seed, -1 / 7, 3])
+        mesh = library.world_mesh(
+            item(*(MeshPart(n, place @ m) for n, m in zip(("a.glb", "b.glb"), inside, strict=True)))
+        )
+        assert mesh is not None
+        assert mesh.asset is not None
+        assert mesh.pose is not None
+        np.testing.assert_allclose(mesh.pose, place, atol=1e-12)
+        np.testing.assert_allclose(transform_points(mesh.pose, mesh.asset.vertices), mesh.vertices, atol=1e-9)
+        np.testing.assert_array_equal(mesh.asset.faces, mesh.faces)
+        shapes.append(mesh.asset)
+    assert all(shape is shapes[0] for shape in shapes)
+    assert trimesh.Trimesh(shapes[0].vertices, shapes[0].faces).volume == pytest.approx(0.4**3 + 8 * 0.4 * 0.5 * 0.4)
+
+
+def test_other_proportions_are_another_shape(folder: Path) -> None:
+    library = MeshLibrary(folder)
+    one, other = (library.world_mesh(item(MeshPart("a.glb", placement(scale=size)))) for size in (0.4, 0.4000001))
+    assert one is not None
+    assert other is not None
+    assert one.asset is not None
+    assert one.asset is not other.asset
+
+
+@pytest.mark.parametrize("scales", [([-1, 1, 1], [1, 1, 1]), ([1, 1, 1], [-1, 1, 1]), ([1, 2, 1], [1, 1, 1])])
+def test_mirrored_bodies_and_those_whose_first_part_is_stretched_have_no_shared_shape(
+    folder: Path, scales: tuple[list[float], list[float]]
+) -> None:
+    parts = (MeshPart(name, placement(scale=size)) for name, size in zip(["a.glb", "b.glb"], scales, strict=True))
+    mesh = MeshLibrary(folder).world_mesh(item(*parts))
+    assert mesh is not None
+    assert mesh.asset is None
+    assert mesh.pose is None
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume == pytest.approx(8 + max(scales[0]))
 
 
 def test_an_object_without_parts_has_no_mesh(folder: Path) -> None:
