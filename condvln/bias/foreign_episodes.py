@@ -14,14 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from condvln.formats.json_document import MAX_COORDINATE, JsonNode, parse_json
-from condvln.formats.streams import read_unpacked
-from condvln.language.texts import LARGEST_FILE
-from schemas.errors import FormatError
+from condvln.formats.json_document import MAX_COORDINATE, JsonNode
+from condvln.language.instruction_files import instruction_items
 
 __all__ = ["ForeignEpisode", "read_foreign"]
 
-_REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.json, .jsonl, each also .gz)"
 _STEP: Final = 0.25
 """Length of a forward action in metres."""
 _FORWARD: Final = 1
@@ -49,39 +46,22 @@ def read_foreign(path: str | os.PathLike[str]) -> Iterator[ForeignEpisode]:
     ------
     InputError : the file does not exist, or it holds no instructions
     """
-    path = Path(path)
-    data, where = read_unpacked(path, LARGEST_FILE), str(path)
-    found = False
-    for item in _items(path, data, where):
-        for episode in _episodes(item):
-            found = True
-            yield episode
-    if not found:
-        raise FormatError("the file holds no instructions", where=path, remedy=_REMEDY)
+    for item, texts in instruction_items(Path(path)):
+        yield from _episodes(item, texts)
 
 
-def _items(path: Path, data: bytes, where: str) -> Iterator[JsonNode]:
-    if path.name.removesuffix(".gz").endswith(".jsonl"):
-        for number, line in enumerate(data.splitlines(), start=1):
-            if line.strip():
-                yield parse_json(line, f"{where}, line {number}")
-        return
-    document = parse_json(data, where)
-    yield from (document["episodes"] if isinstance(document.value, dict) else document).entries()
-
-
-def _episodes(item: JsonNode) -> Iterator[ForeignEpisode]:
+def _episodes(item: JsonNode, texts: list[str]) -> Iterator[ForeignEpisode]:
     value = item.object().value
     scene = str(value.get("scene_id") or value.get("scan") or value.get("scene") or "")
     name = next((str(value[key]) for key in ("episode_id", "instruction_id", "path_id") if key in value), "")
     displacement, rise = _path(value)
     base = ForeignEpisode(name, PurePosixPath(scene).name.split(".")[0], "", displacement, rise)
     if "instructions" in item:
-        for number, node in enumerate(item.array("instructions")):
-            yield replace(base, episode_id=f"{name}_{number}", text=node.text())
+        for number, text in enumerate(texts):
+            yield replace(base, episode_id=f"{name}_{number}", text=text)
         return
-    said = item["instruction"] if "instruction" in item else item["instruction_text"]
-    yield replace(base, text=(said["instruction_text"] if isinstance(said.value, dict) else said).text())
+    (text,) = texts
+    yield replace(base, text=text)
     own = value.get("navspace")
     variants = own.get("balance_variants") if isinstance(own, dict) else None
     for one in variants if isinstance(variants, list) else ():

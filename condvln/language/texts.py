@@ -1,9 +1,5 @@
-"""Read instruction texts from an export or from a file of another benchmark.
-
-Supported files: R2R's JSON is a list of items with ``instructions``; VLN-CE and NavSpace have ``episodes`` whose
-``instruction`` holds ``instruction_text``; RxR has one item per line with ``instruction``. In general, an item is an
-object with one of these keys, and items come in a list, in a list under ``episodes``, or one per line. A text that
-occurs in several items counts each time.
+"""Read instruction texts from an export or from a file of another benchmark. A text that occurs in several items counts
+each time.
 """
 
 from __future__ import annotations
@@ -12,20 +8,13 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
-from condvln.formats.json_document import JsonNode, parse_json
-from condvln.formats.streams import read_unpacked
+from condvln.language.instruction_files import REMEDY, instruction_items
 from condvln.manifest import manifest_lines, manifest_paths
-from schemas.errors import FormatError, MissingFileError
+from schemas.errors import MissingFileError
 from schemas.program import Program
 
 __all__ = ["InstructionText", "read_texts"]
-
-LARGEST_FILE: Final = 1 << 30
-"""Largest size of a file in bytes after decompression; R2R_VLNCE's training split has 40 MB."""
-
-_REMEDY: Final = "Name an export, or a file of R2R, VLN-CE, RxR or NavSpace (.json, .jsonl, each also .gz)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,40 +39,15 @@ def read_texts(path: str | os.PathLike[str]) -> Iterator[InstructionText]:
     if path.is_dir():
         yield from _of_export(path)
         return
-    found = False
-    for item in _items(path):
-        for text in _texts(item):
-            found = True
-            yield InstructionText(text)
-    if not found:
-        raise FormatError("the file holds no instructions", where=path, remedy=_REMEDY)
+    for _, texts in instruction_items(path):
+        yield from map(InstructionText, texts)
 
 
 def _of_export(folder: Path) -> Iterator[InstructionText]:
     paths = manifest_paths(folder)
     if not paths:
-        raise MissingFileError("no manifest/<split>.jsonl in this folder", where=folder, remedy=_REMEDY)
+        raise MissingFileError("no manifest/<split>.jsonl in this folder", where=folder, remedy=REMEDY)
     for path in paths:
         for line in manifest_lines(path):
             row = line.row()
             yield InstructionText(row.instruction_text, row.category, row.program)
-
-
-def _items(path: Path) -> Iterator[JsonNode]:
-    data, where = read_unpacked(path, LARGEST_FILE), str(path)
-    if path.name.removesuffix(".gz").endswith(".jsonl"):
-        for number, line in enumerate(data.splitlines(), start=1):
-            if line.strip():
-                yield parse_json(line, f"{where}, line {number}")
-        return
-    document = parse_json(data, where)
-    yield from (document["episodes"] if isinstance(document.value, dict) else document).entries()
-
-
-def _texts(item: JsonNode) -> list[str]:
-    if "instructions" in item:
-        return [node.text() for node in item.array("instructions")]
-    said = item["instruction"] if "instruction" in item else item["instruction_text"]
-    if isinstance(said.value, dict):
-        said = said["instruction_text"]
-    return [said.text()]
