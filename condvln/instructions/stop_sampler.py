@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.kernels.stops import FAILURES, MOST_MOVES, TargetTables, draw_stops, fits
+from condvln.instructions.kernels.stops import FAILURES, MOST_MOVES, ByLabel, Questions, TargetTables, draw_stops, fits
 from condvln.instructions.stops import Target, Targets
 from condvln.seeding import Draws
 from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
@@ -78,12 +78,19 @@ class StopSampler:
         type_of = np.array([kinds[kind] for kind in types.values()], np.int64)
         asked_numbers = np.array([numbers[room] for room in asked], np.int64)
         self._tables = TargetTables(
-            apart=np.ascontiguousarray(found.apart),
+            questions=Questions(
+                apart=np.ascontiguousarray(found.apart),
+                label=label,
+                marks=np.random.default_rng(0).integers(-(2**63), 2**63 - 1, (len(label), 4)),
+                digests=np.zeros((ANSWERS_KEPT, 2), np.int64),
+                answers=np.zeros(ANSWERS_KEPT, bool),
+            ),
+            by_label=ByLabel(
+                clear=np.array([target.clear for target in found.targets], bool),
+                members=np.argsort(label, kind="stable").astype(np.int64),
+                spans=np.stack([np.concatenate([[0], ends[:-1]])[: len(ends)], ends], axis=1).astype(np.int64),
+            ),
             alike=np.ascontiguousarray(found.alike),
-            clear=np.array([target.clear for target in found.targets], bool),
-            label=label,
-            members=np.argsort(label, kind="stable").astype(np.int64),
-            spans=np.stack([np.concatenate([[0], ends[:-1]])[: len(ends)], ends], axis=1).astype(np.int64),
             order=np.arange(len(weights), dtype=np.int64),
             weights=np.array(tuple(weights.values()), np.float64),
             held=self._room_of[None] == np.arange(len(types))[:, None],
@@ -93,9 +100,6 @@ class StopSampler:
             by_type=np.argsort(type_of, kind="stable").astype(np.int64),
             type_of=type_of,
             plain=self._plain,
-            marks=np.random.default_rng(0).integers(-(2**63), 2**63 - 1, (len(label), 4)),
-            digests=np.zeros((ANSWERS_KEPT, 2), np.int64),
-            answers=np.zeros(ANSWERS_KEPT, bool),
         )
         self._known_roomy: dict[tuple[int, int], tuple[I64, NDArray[np.float64]]] = {}
 
@@ -116,7 +120,7 @@ class StopSampler:
     def fits(self, leaves: int) -> bool:
         """Return whether the scene has targets for so many leaves."""
         everything = np.ones(len(self._targets), bool)
-        return fits(everything, everything, leaves, 0, self._tables)
+        return fits(everything, everything, leaves, 0, self._tables.questions)
 
     def roomy(self, leaves: int) -> bool:
         """Return whether a room about which conditions can be asked has targets for so many leaves."""
@@ -184,12 +188,12 @@ class StopSampler:
         """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for
         `waypoints` more, with running weights.
         """
-        key, tables = (leaves, waypoints), self._tables
+        key, tables, questions = (leaves, waypoints), self._tables, self._tables.questions
         if key not in self._known_roomy:
             chosen = [
                 room
                 for room, held in ((room, tables.held[room]) for room in tables.asked.tolist())
-                if fits(held, held, leaves, 0, tables) and fits(held, held, leaves, waypoints, tables)
+                if fits(held, held, leaves, 0, questions) and fits(held, held, leaves, waypoints, questions)
             ]
             rooms = np.array(chosen, np.int64)
             self._known_roomy[key] = rooms, self._preferences(rooms)

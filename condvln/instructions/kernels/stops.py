@@ -10,7 +10,7 @@ import numpy.typing as npt
 from condvln.compiled import compiled, constant, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, index
 
-__all__ = ["FAILURES", "MOST_MOVES", "TargetTables", "draw_stops", "fits"]
+__all__ = ["FAILURES", "MOST_MOVES", "ByLabel", "Questions", "TargetTables", "draw_stops", "fits"]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
@@ -40,29 +40,52 @@ REJECTIONS: Final = 6
 """Number of labels drawn without checking before the remaining ones are counted; both give the same distribution."""
 
 
+class Questions(NamedTuple):
+    """What `fits` needs to know of a scene's t targets, and what it answered.
+
+    apart (t, t) : see `stops.Target`
+    label (t,) : the label of each target
+    marks (t, 4) : random numbers, of which the digest of a set of targets is made
+    digests (m, 2), answers (m,) : answers of `fits` by digest, m a power of two; kernels write to both
+    """
+
+    apart: Bools
+    label: Longs
+    marks: Longs
+    digests: Longs
+    answers: Bools
+
+
+class ByLabel(NamedTuple):
+    """The targets by their label.
+
+    clear (t,) : see `stops.Target`
+    members (t,), spans (l, 2) : the targets by label, ascending; where a label's targets begin and end
+    """
+
+    clear: Bools
+    members: Longs
+    spans: Longs
+
+
 class TargetTables(NamedTuple):
     """The targets of a scene, t, their l labels, and the r rooms.
 
-    apart, alike (t, t) : see `stops.Target`
-    clear (t,) : see `stops.Target`
-    label (t,) : the label of each target
-    members (t,), spans (l, 2) : the targets by label, ascending; where a label's targets begin and end
+    A kernel that is called often gets a part of the tables only, since for each array of an argument the callee counts
+    a reference.
+
+    alike (t, t) : see `stops.Target`
     order (l,) : the labels in the order in which they are drawn from, weights (l,) : their weights in this order
     held (r, t) : the targets of each room
     spoiling (r, t) : the targets that leave nothing to ask about the room
     asked (a,), asked_sums (a,) : rooms about which conditions can be asked, and their running weights
     by_type (r,), type_of (r,) : the rooms, sorted by type; the type of each room
     plain (r,) : the room is named by its label alone
-    marks (t, 4) : random numbers, of which the digest of a set of targets is made
-    digests (m, 2), answers (m,) : answers of `fits` by digest, m a power of two; kernels write to both
     """
 
-    apart: Bools
+    questions: Questions
+    by_label: ByLabel
     alike: Bools
-    clear: Bools
-    label: Longs
-    members: Longs
-    spans: Longs
     order: Longs
     weights: Doubles
     held: Bools
@@ -72,9 +95,6 @@ class TargetTables(NamedTuple):
     by_type: Longs
     type_of: Longs
     plain: Bools
-    marks: Longs
-    digests: Longs
-    answers: Bools
 
 
 @compiled
@@ -106,8 +126,8 @@ def _without_label(allowed: Bools, wanted: int, label: Longs) -> None:
         allowed[k] &= label[k] != wanted
 
 
-@inlined
-def _search(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetTables) -> bool:
+@compiled
+def _search(allowed: Bools, free: Bools, n: int, waypoints: int, apart: Bools, label: Longs) -> bool:
     """Return whether `allowed` contains `n` targets that have different labels and are pairwise apart, and `free`
     contains `waypoints` more such targets, also apart from the first `n`. One target after the other is tried; after
     `SEARCHED` targets, of the first `n` or of the others, the result is True.
@@ -139,102 +159,110 @@ def _search(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetT
         depth += 1
         at[depth] = 0
         if depth <= n and waypoints > 0:
-            _narrow(frees[depth - 1], target, tables.apart, frees[depth])
+            _narrow(frees[depth - 1], target, apart, frees[depth])
         if depth == n and waypoints > 0:
             masks[depth], left[1] = frees[depth], SEARCHED
         elif depth < total:
-            _narrow(masks[depth - 1], target, tables.apart, masks[depth])
-            _without_label(masks[depth], tables.label[target], tables.label)
+            _narrow(masks[depth - 1], target, apart, masks[depth])
+            _without_label(masks[depth], label[target], label)
     return depth >= 0
 
 
 @compiled
-def fits(allowed: Bools, free: Bools, n: int, waypoints: int, tables: TargetTables) -> bool:
+def fits(allowed: Bools, free: Bools, n: int, waypoints: int, questions: Questions) -> bool:
     """Return whether `allowed` has targets for `n` leaves, and `free` more for the `waypoints` of the longest one.
 
     The answer is `_search`'s. It is kept, since draws ask again and again, until another question of the same place in
     the table overwrites it. Two questions with the same digest of 128 bits would get the same answer.
     """
-    if n < 2 and waypoints == 0:
-        return n < 1 or _count(allowed) > 0
-    one, other = n, waypoints
-    for k in range(len(allowed)):
-        one ^= tables.marks[k, 0] * allowed[k]
-        other ^= tables.marks[k, 1] * allowed[k]
-    if waypoints > 0:
-        for k in range(len(free)):
-            one ^= tables.marks[k, 2] * free[k]
-            other ^= tables.marks[k, 3] * free[k]
-    place = one & (len(tables.answers) - 1)
-    if tables.digests[place, 0] != one or tables.digests[place, 1] != other:
-        tables.answers[place] = _search(allowed, free, n, waypoints, tables)
-        tables.digests[place, 0], tables.digests[place, 1] = one, other
-    return bool(tables.answers[place])
-
-
-@inlined
-def _draw_target(
-    allowed: Bools, sums: Doubles, labels: Longs, tables: TargetTables, stream: Doubles, left: Longs
-) -> int:
-    """Return one of the `allowed` targets, or NONE: first a label by its weight, then one of its targets uniformly.
-
-    labels, sums : (n,), the labels that may be drawn and their running weights
-    """
-    if len(labels) == 0 or _count(allowed) == 0:
-        return NONE
-    chosen = NONE
-    for _ in range(REJECTIONS):
-        one = labels[cumulative(sums, 0, len(labels), stream, left)]
-        if _has(one, allowed, tables):
-            chosen = one
-            break
-    if chosen == NONE:
-        there, weights = np.empty(len(labels), np.int64), np.empty(len(labels))
-        n, total = 0, 0.0
-        for k in range(len(labels)):
-            if _has(labels[k], allowed, tables):
-                total += sums[len(labels) + k]
-                there[n], weights[n] = labels[k], total
-                n += 1
-        if n == 0:
-            return NONE
-        chosen = there[cumulative(weights, 0, n, stream, left)]
-    begin, end = tables.spans[chosen, 0], tables.spans[chosen, 1]
-    count = 0
-    for k in range(begin, end):
-        count += allowed[tables.members[k]]
-    place = index(count, stream, left)
-    for k in range(begin, end):
-        if allowed[tables.members[k]]:
-            if place == 0:
-                return int(tables.members[k])
-            place -= 1
-    return NONE
+    marks, digests, answers = questions.marks, questions.digests, questions.answers
+    answer = n < 1 or _count(allowed) > 0
+    if n > 1 or waypoints > 0:
+        one, other = n, waypoints
+        for k in range(len(allowed)):
+            one ^= marks[k, 0] * allowed[k]
+            other ^= marks[k, 1] * allowed[k]
+        if waypoints > 0:
+            for k in range(len(free)):
+                one ^= marks[k, 2] * free[k]
+                other ^= marks[k, 3] * free[k]
+        place = one & (len(answers) - 1)
+        if digests[place, 0] != one or digests[place, 1] != other:
+            answers[place] = _search(allowed, free, n, waypoints, questions.apart, questions.label)
+            digests[place, 0], digests[place, 1] = one, other
+        answer = answers[place]
+    return answer
 
 
 @compiled
-def _draw_clear(
-    allowed: Bools, sums: Doubles, labels: Longs, tables: TargetTables, stream: Doubles, left: Longs
+def _draw_label(
+    allowed: Bools, sums: Doubles, labels: Longs, members: Longs, spans: Longs, stream: Doubles, left: Longs
 ) -> int:
-    """Return one of the `allowed` targets, if possible one with a clear name, or NONE; see `_draw_target`."""
-    some = np.empty(len(allowed), np.bool_)
-    for k in range(len(allowed)):
-        some[k] = allowed[k] & tables.clear[k]
-    target = NONE
-    for _ in range(2):
-        target = _draw_target(some, sums, labels, tables, stream, left)
-        if target != NONE:
-            break
-        some = allowed
+    """Return one of the labels that `allowed` targets have, by its weight, or NONE; see `_draw_target`."""
+    there, weights = np.empty(len(labels), np.int64), np.empty(len(labels))
+    n, total = 0, 0.0
+    for k in range(len(labels)):
+        if _has(labels[k], allowed, members, spans):
+            total += sums[len(labels) + k]
+            there[n], weights[n] = labels[k], total
+            n += 1
+    label = NONE
+    if n > 0:
+        label = there[cumulative(weights, 0, n, stream, left)]
+    return label
+
+
+@compiled
+def _draw_target(
+    allowed: Bools, sums: Doubles, labels: Longs, members: Longs, spans: Longs, stream: Doubles, left: Longs
+) -> int:
+    """Return one of the `allowed` targets, or NONE: first a label by its weight, then one of its targets uniformly.
+
+    labels, sums : (n,), the labels that may be drawn and their running weights, see `_running`
+    members, spans : see `ByLabel`
+    """
+    chosen = target = NONE
+    if len(labels) > 0 and _count(allowed) > 0:
+        for _ in range(REJECTIONS):
+            one = labels[cumulative(sums, 0, len(labels), stream, left)]
+            if _has(one, allowed, members, spans):
+                chosen = one
+                break
+        if chosen == NONE:
+            chosen = _draw_label(allowed, sums, labels, members, spans, stream, left)
+    if chosen != NONE:
+        begin, end = spans[chosen, 0], spans[chosen, 1]
+        count = 0
+        for k in range(begin, end):
+            count += allowed[members[k]]
+        place = index(count, stream, left)
+        for k in range(begin, end):
+            if allowed[members[k]]:
+                if place == 0:
+                    target = members[k]
+                place -= 1
     return target
 
 
 @compiled
-def _has(label: int, allowed: Bools, tables: TargetTables) -> bool:
+def _draw_clear(allowed: Bools, sums: Doubles, labels: Longs, by_label: ByLabel, stream: Doubles, left: Longs) -> int:
+    """Return one of the `allowed` targets, if possible one with a clear name, or NONE; see `_draw_target`."""
+    clear, members, spans = by_label.clear, by_label.members, by_label.spans
+    some = np.empty(len(allowed), np.bool_)
+    for k in range(len(allowed)):
+        some[k] = allowed[k] & clear[k]
+    target = _draw_target(some, sums, labels, members, spans, stream, left)
+    if target == NONE:
+        target = _draw_target(allowed, sums, labels, members, spans, stream, left)
+    return target
+
+
+@compiled
+def _has(label: int, allowed: Bools, members: Longs, spans: Longs) -> bool:
     """Return whether any of the `allowed` targets has this label."""
     found = False
-    for k in range(tables.spans[label, 0], tables.spans[label, 1]):
-        found |= allowed[tables.members[k]]
+    for k in range(spans[label, 0], spans[label, 1]):
+        found |= allowed[members[k]]
     return found
 
 
@@ -258,42 +286,44 @@ def _few_rooms(
     """
     rooms[0] = tables.asked[cumulative(tables.asked_sums, 0, len(tables.asked), stream, left)]
     held[:] = tables.held[rooms[0]]
-    ahead, both = np.empty(len(tables.by_type), np.int64), np.empty(len(held), np.bool_)
+    questions = tables.questions
+    type_of, is_plain, by_type, held_by = tables.type_of, tables.plain, tables.by_type, tables.held
+    ahead, both = np.empty(len(by_type), np.int64), np.empty(len(held), np.bool_)
     count = 1
     while count < most:
         size = plain = 0
-        for room in tables.by_type:
+        for room in by_type:
             fresh = True
             for k in range(count):
-                fresh &= tables.type_of[rooms[k]] != tables.type_of[room]
+                fresh &= type_of[rooms[k]] != type_of[room]
             if fresh:
                 ahead[size] = room
                 size += 1
-                plain += tables.plain[room]
-        if size == 0 or (plain == 0 and count >= least and fits(held, held, n, waypoints, tables)):
+                plain += is_plain[room]
+        if size == 0 or (plain == 0 and count >= least and fits(held, held, n, waypoints, questions)):
             break
         if count == most - 1:
             kept = plain = 0
             for k in range(size):
-                _join(held, tables.held[ahead[k]], both)
-                if fits(both, both, n, waypoints, tables):
+                _join(held, held_by[ahead[k]], both)
+                if fits(both, both, n, waypoints, questions):
                     ahead[kept] = ahead[k]
                     kept += 1
-                    plain += tables.plain[ahead[kept - 1]]
+                    plain += is_plain[ahead[kept - 1]]
             if kept == 0:
                 return NONE
             size = kept
         if plain > 0:
             place = index(plain, stream, left)
             for k in range(size):
-                if tables.plain[ahead[k]]:
+                if is_plain[ahead[k]]:
                     if place == 0:
                         rooms[count] = ahead[k]
                         break
                     place -= 1
         else:
             rooms[count] = ahead[index(size, stream, left)]
-        _join(held, tables.held[rooms[count]], held)
+        _join(held, held_by[rooms[count]], held)
         count += 1
     return count
 
@@ -306,7 +336,8 @@ def _draw_goals(
     sums: Doubles,
     labels: Longs,
     drawable: Bools,
-    tables: TargetTables,
+    questions: Questions,
+    by_label: ByLabel,
     stream: Doubles,
     left: Longs,
     goals: Longs,
@@ -317,19 +348,20 @@ def _draw_goals(
     unused = np.empty(len(held), np.bool_)
     for k in range(len(held)):
         unused[k] = held[k] & drawable[k]
-    if not fits(unused, unused, n, WITHOUT_WAYPOINTS, tables):
-        return LABEL_OVER_CAP if fits(held, held, n, WITHOUT_WAYPOINTS, tables) else NO_TARGETS
+    if not fits(unused, unused, n, WITHOUT_WAYPOINTS, questions):
+        return LABEL_OVER_CAP if fits(held, held, n, WITHOUT_WAYPOINTS, questions) else NO_TARGETS
+    apart, label = questions.apart, questions.label
     allowed, free = unused.copy(), held.copy()
     rest, spare = np.empty(len(held), np.bool_), np.empty(len(held), np.bool_)
     count = 0
     while count < n:
-        target = _draw_clear(allowed, sums, labels, tables, stream, left)
+        target = _draw_clear(allowed, sums, labels, by_label, stream, left)
         if target == NONE:
             return NO_WAYPOINT if waypoints else NO_TARGETS
-        _narrow(unused, target, tables.apart, rest)
-        _without_label(rest, tables.label[target], tables.label)
-        _narrow(free, target, tables.apart, spare)
-        if fits(rest, spare, n - count - 1, waypoints, tables):
+        _narrow(unused, target, apart, rest)
+        _without_label(rest, label[target], label)
+        _narrow(free, target, apart, spare)
+        if fits(rest, spare, n - count - 1, waypoints, questions):
             goals[count] = target
             count += 1
             unused[:], free[:] = rest, spare
@@ -347,7 +379,10 @@ def _draw_moves(
     used: Bools,
     room_of: Longs,
     sums: Doubles,
-    tables: TargetTables,
+    order: Longs,
+    apart: Bools,
+    label: Longs,
+    by_label: ByLabel,
     stream: Doubles,
     left: Longs,
     moves: Longs,
@@ -357,18 +392,18 @@ def _draw_moves(
     other target is left. Return False if there are no such waypoints.
     """
     open_, fresh = allowed.copy(), np.empty(len(allowed), np.bool_)
-    _without_label(open_, tables.label[goal], tables.label)
+    _without_label(open_, label[goal], label)
     for k in range(count - 1):
         for other in range(len(open_)):
             fresh[other] = open_[other] & (k > 0 or not used[other])
-        target = _draw_clear(fresh, sums, tables.order, tables, stream, left)
+        target = _draw_clear(fresh, sums, order, by_label, stream, left)
         if target == NONE:
-            target = _draw_clear(open_, sums, tables.order, tables, stream, left)
+            target = _draw_clear(open_, sums, order, by_label, stream, left)
         if target == NONE:
             return False
         moves[k] = target
-        _narrow(open_, target, tables.apart, open_)
-        _without_label(open_, tables.label[target], tables.label)
+        _narrow(open_, target, apart, open_)
+        _without_label(open_, label[target], label)
     moves[count - 1] = goal
     if count == 3 and room_of[moves[0]] == room_of[goal] != room_of[moves[1]]:
         moves[0], moves[1] = moves[1], moves[0]  # stops never return to a room
@@ -390,18 +425,21 @@ def _draw_leaves(
     """Write the stops of all leaves to `stops`. Some leaves may begin with the same stop if no other stop is left, but
     never all leaves. Return the number of a failure, or NONE.
     """
-    n = len(counts)
+    n, order, apart, label = len(counts), tables.order, tables.questions.apart, tables.questions.label
+    by_label, alike_to = tables.by_label, tables.alike
     allowed, used = held.copy(), np.zeros(len(held), np.bool_)
     for leaf in range(n):
-        _narrow(allowed, goals[leaf], tables.apart, allowed)
+        _narrow(allowed, goals[leaf], apart, allowed)
     for leaf in range(n):
-        moves = stops[leaf]
-        if not _draw_moves(goals[leaf], counts[leaf], allowed, used, room_of, sums, tables, stream, left, moves):
+        moves, count = stops[leaf], counts[leaf]
+        if not _draw_moves(
+            goals[leaf], count, allowed, used, room_of, sums, order, apart, label, by_label, stream, left, moves
+        ):
             return NO_WAYPOINT
         used[moves[0]] = True
         for k in range(counts[leaf] - 1):
             for other in range(len(allowed)):
-                allowed[other] &= not tables.alike[moves[k], other]
+                allowed[other] &= not alike_to[moves[k], other]
     for leaf in range(n):
         alike = 0
         for other in range(n):
@@ -423,12 +461,12 @@ def _running(weights: Doubles) -> Doubles:
 
 
 @inlined
-def _leave_to_ask(rooms: Longs, tables: TargetTables, held: Bools) -> None:
+def _leave_to_ask(rooms: Longs, spoiling: Bools, held: Bools) -> None:
     """Remove from `held` the targets that leave nothing to ask about any of the `rooms`."""
     for target in range(len(held)):
         spoils = True
         for room in rooms:
-            spoils &= tables.spoiling[room, target]
+            spoils &= spoiling[room, target]
         held[target] &= not spoils
 
 
@@ -464,32 +502,34 @@ def draw_stops(
     stops : (n, 3), set to the targets
     """
     n, waypoints = len(counts), counts.max() - 1
-    labels, weights = np.empty(len(tables.order), np.int64), np.empty(len(tables.order))
+    questions, by_label, order, preferred = tables.questions, tables.by_label, tables.order, tables.weights
+    spans, members, held_by, spoiling = by_label.spans, by_label.members, tables.held, tables.spoiling
+    labels, weights = np.empty(len(order), np.int64), np.empty(len(order))
     kept = 0
-    for k in range(len(tables.order)):
-        if used[tables.order[k]] + 1 <= cap:
-            labels[kept] = tables.order[k]
-            weights[kept] = tables.weights[k] / (1 + used[tables.order[k]])
+    for k in range(len(order)):
+        if used[order[k]] + 1 <= cap:
+            labels[kept] = order[k]
+            weights[kept] = preferred[k] / (1 + used[order[k]])
             kept += 1
-    labels, sums, waypoint_sums = labels[:kept], _running(weights[:kept]), _running(tables.weights)
-    drawable, held = np.zeros(len(tables.label), np.bool_), np.zeros(len(tables.label), np.bool_)
+    labels, sums, waypoint_sums = labels[:kept], _running(weights[:kept]), _running(preferred)
+    drawable, held = np.zeros(len(members), np.bool_), np.zeros(len(members), np.bool_)
     for label in labels:
-        for k in range(tables.spans[label, 0], tables.spans[label, 1]):
-            drawable[tables.members[k]] = True
+        for k in range(spans[label, 0], spans[label, 1]):
+            drawable[members[k]] = True
     goals = np.empty(n, np.int64)
     for attempt in range(tries):
         if left[1]:
             break  # the stream has ended
         if most == 1:
             rooms[0], rooms[1] = 1, roomy[cumulative(roomy_sums, 0, len(roomy), stream, left)]
-            held[:] = tables.held[rooms[1]]
+            held[:] = held_by[rooms[1]]
         else:
             rooms[0] = _few_rooms(least, most, n, waypoints, tables, rooms[1:], held, stream, left)
             if rooms[0] == NONE:
                 failures[NO_WAYPOINT if waypoints else NO_TARGETS] += 1
                 continue
-        _leave_to_ask(rooms[1 : 1 + rooms[0]], tables, held)
-        failed = _draw_goals(n, waypoints, held, sums, labels, drawable, tables, stream, left, goals)
+        _leave_to_ask(rooms[1 : 1 + rooms[0]], spoiling, held)
+        failed = _draw_goals(n, waypoints, held, sums, labels, drawable, questions, by_label, stream, left, goals)
         if failed == NONE:
             failed = _draw_leaves(counts, held, goals, room_of, waypoint_sums, tables, stream, left, stops)
         if failed == NONE:
@@ -503,8 +543,9 @@ def _warm_up() -> None:
     span = np.array([[0, 1]])
     digests = np.zeros((1, 4), np.int64), np.zeros((1, 2), np.int64), np.zeros(1, bool)
     places = (numbers, one, numbers, numbers, mask[0])
-    tables = TargetTables(mask, mask, mask[0], numbers, numbers, span, numbers, one, mask, mask, *places, *digests)
-    fits(mask[0], mask[0], 1, 0, tables)
+    questions, by_label = Questions(mask, numbers, *digests), ByLabel(mask[0], numbers, span)
+    tables = TargetTables(questions, by_label, mask, numbers, one, mask, mask, *places)
+    fits(mask[0], mask[0], 1, 0, questions)
     counts, stops = np.ones(2, np.int64), np.zeros((2, MOST_MOVES), np.int64)
     left, failures, rooms = np.array([8, 0]), np.zeros(len(FAILURES), np.int64), np.zeros(3, np.int64)
     stream = np.zeros(8)

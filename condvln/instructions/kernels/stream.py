@@ -21,11 +21,13 @@ Longs = npt.NDArray[np.int64]
 @compiled
 def uniform(stream: Doubles, left: Longs) -> float:
     """Return the next uniform in [0, 1); 0 if none is left."""
-    if left[0] == 0:
+    unread, value = left[0], 0.0
+    if unread == 0:
         left[1] = 1
-        return 0.0
-    left[0] -= 1
-    return float(stream[left[0]])
+    else:
+        value = stream[unread - 1]
+        left[0] = unread - 1
+    return value
 
 
 @compiled
