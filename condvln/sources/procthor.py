@@ -54,7 +54,7 @@ class ProcthorSource(SceneSource):
         super().__init__(root, options)
         self._open: dict[str, JsonLines] = {}
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
-        if not self._files():
+        if not self._files() and not self._lost:
             raise ConfigError(
                 "no houses (*.jsonl, *.jsonl.gz, *.json) are in this folder",
                 where=root,

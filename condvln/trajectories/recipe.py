@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from condvln.formats.parquet_rows import refuse_parquet_bombs
+from condvln.formats.regular_file import read_regular
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
 from schemas.config import CameraConfig, TrajectoryConfig
@@ -109,10 +110,10 @@ class Recipe:
         self.folder = folder
         path = folder / RECORD
         try:
-            self.record = RecipeRecord.model_validate(orjson.loads(path.read_bytes()))
+            self.record = RecipeRecord.model_validate(orjson.loads(read_regular(path)))
         except FileNotFoundError:
             raise MissingFileError("the folder holds no recipe", where=folder, remedy=_REMEDY) from None
-        except ValueError as error:
+        except (OSError, ValueError) as error:
             raise FormatError(
                 f"not a record of trajectories ({first_fault(error)})", where=path, remedy=_REMEDY
             ) from None

@@ -11,6 +11,8 @@ from typing import Any, TypeAlias
 import orjson
 import pyarrow.parquet as pq
 
+from condvln.formats.regular_file import read_regular
+
 __all__ = ["Counts", "Faults", "Row", "jsonl", "linked", "scenes_with_poses"]
 
 Row: TypeAlias = Mapping[str, Any]
@@ -48,10 +50,10 @@ def linked(folder: Path, place: Path, wanted: Mapping[str, str], walk: str) -> F
         yield walk, f"{place.relative_to(folder)}: the files are not the walk's frames"
     for name in sorted(found & wanted.keys()):
         here, there = place / name, folder / wanted[name]
-        if not os.path.samefile(here, there) and here.read_bytes() != there.read_bytes():
+        if not os.path.samefile(here, there) and read_regular(here) != read_regular(there):
             yield walk, f"{here.relative_to(folder)} is not {wanted[name]}"
 
 
 def jsonl(path: Path) -> list[Any]:
     """Return the documents of a file of JSON lines."""
-    return [orjson.loads(line) for line in path.read_bytes().splitlines()]
+    return [orjson.loads(line) for line in read_regular(path).splitlines()]

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from condvln.formats.regular_file import read_regular
 from condvln.verify.layout_files import Counts, Faults, Row, jsonl, linked, scenes_with_poses
 
 __all__ = ["internvla_faults", "lerobot_faults"]
@@ -255,7 +256,7 @@ def _is_lerobot(
         moments.setdefault(column, _Moments())
         for k, (found, pose) in enumerate(zip(table[column], view, strict=True)):
             data = found["bytes"].as_py()
-            if found["path"].as_py() != pose["image"] or data != (folder / pose["image"]).read_bytes():
+            if found["path"].as_py() != pose["image"] or data != read_regular(folder / pose["image"]):
                 return False
             if (first + k) % 50 == 0:
                 moments[column].add(_values(data, cameras[name]))
@@ -315,7 +316,7 @@ def _tasks(target: Path) -> list[dict[str, Any]]:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    found = orjson.loads(path.read_bytes())
+    found = orjson.loads(read_regular(path))
     if not isinstance(found, dict):
         raise ValueError(f"{path.name} holds no JSON object")
     return found

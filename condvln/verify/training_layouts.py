@@ -17,6 +17,7 @@ import numpy as np
 import orjson
 import pyarrow as pa
 
+from condvln.formats.regular_file import read_regular
 from condvln.verify.layout_files import Counts, Faults, Row, linked
 from condvln.verify.lerobot_layouts import internvla_faults, lerobot_faults
 
@@ -129,7 +130,7 @@ def _navila_rows(walk: Row) -> Iterator[dict[str, Any]]:
 
 
 def _janusvln(folder: Path, record: Row, walks: Sequence[Row], rows: Counts) -> Faults:
-    samples = iter(orjson.loads((folder / "janusvln" / "train.json").read_bytes()))
+    samples = iter(orjson.loads(read_regular(folder / "janusvln" / "train.json")))
     for walk in walks:
         for at, action in enumerate(walk["actions"]):
             past = [*range(at + 1)] if at < 9 else [int(k) for k in np.linspace(0, at, 9)]
@@ -165,7 +166,7 @@ def _is_janus(sample: Row, walk: Row, at: int, images: list[str], answer: str) -
 
 
 def _uninavid(folder: Path, record: Row, walks: Sequence[Row], rows: Counts) -> Faults:
-    entries = iter(orjson.loads((folder / "uninavid" / "annotations.json").read_bytes()))
+    entries = iter(orjson.loads(read_regular(folder / "uninavid" / "annotations.json")))
     videos: set[str] = set()
     for walk in walks:
         count = len(walk["actions"])
@@ -183,7 +184,7 @@ def _uninavid(folder: Path, record: Row, walks: Sequence[Row], rows: Counts) -> 
                     yield walk["trajectory"], f"the sample of frame {at} is not the walk's"
                     return
                 rows["uninavid"] += 1
-            if _frames_of((folder / "uninavid" / video).read_bytes()) != frames[: at + 1]:
+            if _frames_of(read_regular(folder / "uninavid" / video)) != frames[: at + 1]:
                 yield walk["trajectory"], f"the video of frame {at} has other images"
     if next(entries, None) is not None:
         yield "", "there are more samples than every fourth frame gives"

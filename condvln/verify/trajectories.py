@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.formats.image_files import encoders, jpeg, png16
+from condvln.formats.regular_file import read_regular
 from condvln.navigation.follower import STOP, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
@@ -357,7 +358,7 @@ class _Frames:
         other = "the pose shows another image"
         if same_encoder and hashlib.sha256(data).hexdigest() != row["sha256"]:
             return other
-        file = data if self._folder is None else (self._folder / row["image"]).read_bytes()
+        file = data if self._folder is None else read_regular(self._folder / row["image"])
         shown = _millimetres(frame.depth) if suffix == "png" else frame.rgb.astype(np.int64)
         return None if _shows(file, data, shown) else other
 
@@ -367,7 +368,7 @@ class _Frames:
 
         camera = self._cameras[row["camera"]]
         try:
-            data = path.read_bytes()
+            data = read_regular(path)
         except OSError as error:
             return f"the image can't be read: {error.strerror}"
         if len(data) != row["bytes"] or hashlib.sha256(data).hexdigest() != row["sha256"]:

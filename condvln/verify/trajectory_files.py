@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from condvln.formats.image_files import encoders_of
 from condvln.formats.parquet_rows import refuse_parquet_bombs
+from condvln.formats.regular_file import read_regular
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import FormatError, MissingFileError
 from schemas.first_fault import first_fault
@@ -37,7 +38,7 @@ _CAMERA_NAME: Final = re.compile(r"(rgb|depth)(\.[A-Za-z0-9_.-]{1,60})?")
 def read_record(folder: Path) -> dict[str, Any]:
     path = folder / "trajectories.json"
     try:
-        found = orjson.loads(path.read_bytes())
+        found = orjson.loads(read_regular(path))
         return {
             "cameras": {name: _camera(name, camera) for name, camera in dict(found["cameras"]).items()},
             "config": _config(found["config"]),
@@ -49,7 +50,7 @@ def read_record(folder: Path) -> dict[str, Any]:
         }
     except FileNotFoundError:
         raise MissingFileError("the folder holds no trajectories", where=folder, remedy=_REMEDY) from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise FormatError(f"not a record of trajectories ({first_fault(error)})", where=path, remedy=_REMEDY) from None
 
 
@@ -101,7 +102,7 @@ def _texts(record: Row, key: str) -> dict[str, str]:
 def read_annotations(folder: Path) -> list[dict[str, Any]]:
     path = folder / "annotations.json"
     try:
-        found = orjson.loads(path.read_bytes())
+        found = orjson.loads(read_regular(path))
         for entry in found:
             if {"id", "video", "instructions", "actions", "kind"} - entry.keys():
                 raise TypeError("an entry lacks a key")
@@ -109,7 +110,7 @@ def read_annotations(folder: Path) -> list[dict[str, Any]]:
                 raise TypeError("the actions of an entry are not a list")
     except FileNotFoundError:
         raise MissingFileError("annotations.json is missing", where=folder, remedy=_REMEDY) from None
-    except (ValueError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         raise FormatError(f"not a list of walks ({error})", where=path, remedy=_REMEDY) from None
     return list(found)
 

@@ -20,6 +20,7 @@ import pytest
 from rich.console import Console
 
 from condvln.samples import make_samples
+from condvln.sources.registry import open_source
 from jobs.generate import run_generate
 from jobs.workspace import published
 from schemas.config import Config, InstructionsConfig, SourceConfig
@@ -323,3 +324,10 @@ def test_hostile_files_cost_their_own_scenes_only(family: str, tmp_path: Path, m
     assert {row["scene_id"] for row in published(config).table("scenes").to_pylist()} == whole
     assert published(config).table("episodes").num_rows > 0
     assert not (root / "executed").exists()
+
+
+def test_the_only_file_of_a_dataset_is_named_where_its_name_is_not_utf_8(tmp_path: Path) -> None:
+    make_samples(tmp_path, "procthor", 1, 3)
+    nameless(tmp_path / "houses.jsonl.gz", tmp_path)
+    faults = {handle.scene_id: str(handle.fault) for handle in open_source("procthor", tmp_path).handles()}
+    assert r"\xffhouses.jsonl.gz: the name is not UTF-8 text" in faults[r"\xffhouses.jsonl.gz"]

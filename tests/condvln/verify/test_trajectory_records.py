@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import struct
 import zlib
@@ -192,6 +193,29 @@ def test_the_memory_of_a_table_is_bounded_exactly(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(parquet_rows, "FREE_BYTES", size - 1)
     with pytest.raises(ValueError, match=f"whose rows take more than {size - 1:,} bytes"):
         parquet_rows.refuse_parquet_bombs(path)
+
+
+@pytest.mark.parametrize("special", ["FIFO", "device", "link to itself"])
+@pytest.mark.parametrize("name", ["trajectories.json", "annotations.json", "trajectories.parquet", "poses.parquet"])
+def test_what_is_no_file_is_named_and_not_waited_for(name: str, special: str, tmp_path: Path) -> None:
+    if name != "trajectories.json":
+        (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD))
+    if name != "annotations.json":
+        (tmp_path / "annotations.json").write_bytes(b"[]")
+    path = tmp_path / name
+    if special == "FIFO":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero" if special == "device" else name)
+    words = {"FIFO": "it is a FIFO", "device": "it is a character device", "link to itself": "symbolic links"}[special]
+    reads: list[Callable[[], object]] = [lambda: prove_trajectories(tmp_path, None)]  # type: ignore[arg-type]
+    if name == "poses.parquet":
+        reads = [lambda: next(walks_with_poses(path))]
+    if name == "trajectories.json":
+        reads.append(lambda: Recipe(tmp_path))
+    for read in reads:
+        with pytest.raises(FormatError, match=f"{name}: .*{words}"):
+            read()
 
 
 @pytest.mark.parametrize("actions", [5, None, {"a": 1}, "0123"])
