@@ -61,6 +61,7 @@ _REMEDY: Final = "Write the file again, as JSON in UTF-8"
 # What may precede an entry of an object: a comma (not before the first), a key, a colon.
 _KEY: Final = re.compile(rb'\s*(,?)\s*("[^"\\]*(?:\\.[^"\\]*)*")\s*:\s*(?=[\[{])', re.DOTALL)
 _COMMA: Final = re.compile(rb"\s*(,?)\s*(?=[\[{])")
+_ESCAPED_COLON: Final = b"\\u003"
 _STRING: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
 
 
@@ -315,12 +316,24 @@ def _refuse_repeated_keys(value: Any, data: bytes, path: Path, place: str) -> No
     then has more colons outside of texts than `value` has keys.
     """
     colons = data.count(b":")
-    if colons == _own_keys(value):
+    if colons == _own_keys(value) or colons == _colons_written(value, data):
         return
     if _STRING.sub(b"", data).count(b":") > _all_keys(value):
         pairs: list[str] = []
         json.loads(data, object_pairs_hook=lambda items: pairs.extend(_repeated([key for key, _ in items])))
         _refuse(path, place, f"the key {pairs[0]!r:.60} is there twice in one object" if pairs else "a key is repeated")
+
+
+def _colons_written(value: Any, data: bytes) -> int | None:
+    """Return the number of colons in `value` as JSON. It can't be that of `data` if a key is repeated in `data`; None
+    where it could be, since `data` may spell colons of texts as escapes, and where `value` can't be written.
+    """
+    if _ESCAPED_COLON in data:
+        return None
+    try:
+        return orjson.dumps(value).count(b":")
+    except TypeError:
+        return None
 
 
 def _own_keys(value: Any) -> int:

@@ -5,7 +5,7 @@ All possible parses are followed; ``reading`` decides which of them form a whole
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
 from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook
@@ -105,7 +105,7 @@ class PhraseReader:
         self.tokens = book.tokens(text)
         self.furthest = 0
         self.scope: Named | None = None
-        self._matches: dict[int, Matches] = {}
+        self._matches: dict[int, Mapping[str, Sequence[_Match]]] = {}
         self._parsed: dict[tuple[str, int, Named | None, Named | None], list[Any]] = {}
         self._apart: list[tuple[int, Named]] | None = None
 
@@ -115,8 +115,8 @@ class PhraseReader:
 
     # -- words and phrases ---------------------------------------------------------------------------------------------
 
-    def _here(self, at: int) -> Matches:
-        """Return the phrases that begin at the word `at`, by kind."""
+    def _here(self, at: int) -> Mapping[str, Sequence[_Match]]:
+        """Return (end, value, classes) of the phrases that begin at the word `at`, by kind."""
         found = self._matches.get(at)
         if found is None:
             if at > self.furthest:
@@ -127,7 +127,10 @@ class PhraseReader:
                 if below is None:
                     break
                 node = below
-            found = self._matches[at] = node[SO_FAR]
+            matches: Matches = node[SO_FAR]
+            found = self._matches[at] = {
+                kind: [(at + words, value, classes) for words, value, classes in them] for kind, them in matches.items()
+            }
         return found
 
     def _of(self, at: int, kind: str) -> Sequence[_Match]:
@@ -135,10 +138,7 @@ class PhraseReader:
         here = self._matches.get(at)
         if here is None:
             here = self._here(at)
-        found = here.get(kind)
-        if found is None:
-            return ()
-        return [(at + words, value, classes) for words, value, classes in found]
+        return here.get(kind, ())
 
     def _is(self, at: int, mark: str) -> bool:
         return at < len(self.tokens) and self.tokens[at] == mark

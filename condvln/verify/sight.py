@@ -38,6 +38,8 @@ ODDS: Final = 1e-6
 """Probability with which two fair sets of points differ by as much as counts as a contradiction."""
 EYES_AT_ONCE: Final = 512
 """Number of eyes that are tested against one object's points at once."""
+TURNS: Final = 8
+"""Number of turns, at least, in which the eyes of a room are asked about an object's points."""
 RAYS_AT_ONCE: Final = 1 << 17
 """Number of pending rays after which they are cast; some ten megabytes."""
 LINES_KEPT: Final = 1 << 24
@@ -209,13 +211,19 @@ class Sight:
         triangles = self._triangles(item)
         return item.center[None] if triangles is None else evenly(triangles, count)
 
-    def meets(self, object_id: str, eyes: F64, points: F64) -> Bools:
-        """Return whether each of an object's points (k, 3) is visible from any of the eyes (n, 3), at any distance."""
+    def meets(self, object_id: str, eyes: F64, points: F64, enough: float = np.inf) -> Bools:
+        """Return whether each of an object's points (k, 3) is visible from any of the eyes (n, 3), at any distance.
+
+        Once `enough` points are, no more eyes are asked.
+        """
         own = self._own_boxes(object_id, points)
         seen = np.zeros(len(points), dtype=bool)
-        for begin in range(0, len(eyes), EYES_AT_ONCE):
+        turns = max(TURNS, -(-len(eyes) // EYES_AT_ONCE))
+        for turn in range(min(turns, len(eyes))):  # each with eyes all over the room
             left = np.flatnonzero(~seen)
-            part = eyes[begin : begin + EYES_AT_ONCE]
+            if not len(left) or len(points) - len(left) >= enough:
+                break
+            part = eyes[turn::turns]
             looks = np.repeat(part, len(left), axis=0), np.tile(points[left], (len(part), 1))
             hidden = self._hiding.hidden(*looks, np.tile(own[left], len(part)))
             seen[left] = ~hidden.reshape(len(part), len(left)).all(axis=0)

@@ -79,6 +79,10 @@ class _State(NamedTuple):
     listed: int | None
     early: bool
 
+    def going_on(self, at: int) -> _State:
+        """Return the same state at another word."""
+        return _State(at, *self[1:])
+
 
 def read(text: str, code: str = "en") -> TextReading:
     """Return the reading of `text`, which must have exactly one, in language `code`.
@@ -137,16 +141,16 @@ class _Reader(PhraseReader):
             if self._is(end, ".") or self._is(end, ":"):
                 yield from self._sentences(state._replace(at=end + 1, listed=0), base)
         for end, _, _ in self._of(state.at, "number"):
-            yield from self._sentences(state._replace(at=end), base)
+            yield from self._sentences(state.going_on(end), base)
         for after, its_base in self._clause(state, _ALWAYS, base):
             mark = self.tokens[after.at] if after.at < len(self.tokens) else ""
             if mark in (".", "?"):
                 if after.at + 1 == len(self.tokens):
                     yield after
                 else:
-                    yield from self._sentences(after._replace(at=after.at + 1), _ALWAYS)
+                    yield from self._sentences(after.going_on(after.at + 1), _ALWAYS)
             elif mark in (";", ":"):
-                yield from self._sentences(after._replace(at=after.at + 1), its_base)
+                yield from self._sentences(after.going_on(after.at + 1), its_base)
 
     def _clause(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """Parse a clause with everything attached to it. Yield the new state, and the cases that the following clauses
@@ -154,12 +158,12 @@ class _Reader(PhraseReader):
         """
         at = state.at
         for end, _, _ in self._of(at, "filler"):
-            yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
+            yield from self._clause(state.going_on(end + self._is(end, ",")), context, base)
         for end, _, _ in self._of(at, "but"):
-            yield from self._clause(state._replace(at=end + self._is(end, ",")), context, base)
+            yield from self._clause(state.going_on(end + self._is(end, ",")), context, base)
         for end, _, _ in self._of(at, "if"):
-            yield from self._supposed(state._replace(at=end), context & base, base)
-            yield from self._answered(state._replace(at=end), base)
+            yield from self._supposed(state.going_on(end), context & base, base)
+            yield from self._answered(state.going_on(end), base)
         for end, moves, room in self._stops(at, state.room) if not state.asks else ():
             for after, _, _ in self._of(end, "if"):
                 for claimed, cases in self._claimed(state._replace(at=after, room=room), context & base):
@@ -217,7 +221,7 @@ class _Reader(PhraseReader):
             for end, _, _ in self._of(state.at, slot):
                 for place, ask in enumerate(state.asks):
                     if kind is None or state.named[ask.condition].known == kind:
-                        yield from self._consequences(state._replace(at=end), place, answer, base)
+                        yield from self._consequences(state.going_on(end), place, answer, base)
         for slot, answer in (("it_is", True), ("it_is_not", False)):
             for end, _, _ in self._of(state.at, slot):
                 for stop, qualifier in self._relations(end):
@@ -234,7 +238,7 @@ class _Reader(PhraseReader):
                     cases = _ALWAYS
                     for guard in guards:
                         cases &= ~guard
-                    yield from self._but(state._replace(at=end), cases, base)
+                    yield from self._but(state.going_on(end), cases, base)
 
         yield from self._denied_together(state, base)
 
@@ -252,7 +256,7 @@ class _Reader(PhraseReader):
                 [k for k, one in enumerate(state.named) if one.label == label and not one.known] for label in labels
             ]
             for k, j in product(*ways):
-                yield from self._but(state._replace(at=end), _ALWAYS & ~_HOLDS[k] & ~_HOLDS[j], base)
+                yield from self._but(state.going_on(end), _ALWAYS & ~_HOLDS[k] & ~_HOLDS[j], base)
 
     def _consequences(self, state: _State, place: int, answer: bool, base: int) -> Iterator[tuple[_State, int]]:
         """Parse the consequences of an answer to the question or "if" at index `place`."""
@@ -273,7 +277,7 @@ class _Reader(PhraseReader):
         behind_comma = self._is(state.at, ",")
         for joint in ("and", "but"):
             for end, _, _ in self._of(state.at + behind_comma, joint):
-                yield from self._supposed(state._replace(at=end), context, base, joined=True)
+                yield from self._supposed(state.going_on(end), context, base, joined=True)
 
     def _comma(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         """Parse what follows a comma, for the cases `context`: moves, a request to look, or another "if"."""
@@ -288,9 +292,9 @@ class _Reader(PhraseReader):
             told = (found for start in starts for parse in parsers for found in parse(start, state.room))
             for end, moves, room in told:
                 yield state._replace(at=end, room=room, rules=(*state.rules, (context, moves))), base
-        yield from self._request(state._replace(at=at), context, context)
+        yield from self._request(state.going_on(at), context, context)
         for end, _, _ in self._of(at, "if"):
-            yield from self._supposed(state._replace(at=end), context, base)
+            yield from self._supposed(state.going_on(end), context, base)
 
     def _request(self, state: _State, context: int, base: int) -> Iterator[tuple[_State, int]]:
         for end, what, room in self._requests(state.at, state.room):

@@ -63,9 +63,9 @@ class Onlookers:
         points = self._sight.surface(object_id, POINTS)
         eyes = self._of_room(item.room_id)
         least = SEEN_SHARE * len(points)
-        if self._sight.meets(object_id, eyes[::FEW], points[::FEW]).sum() >= least:
+        if self._sight.meets(object_id, eyes[::FEW], points[::FEW], least).sum() >= least:
             return True
-        return bool(self._sight.meets(object_id, eyes, points).sum() >= least) if len(eyes) else False
+        return bool(self._sight.meets(object_id, eyes, points, least).sum() >= least) if len(eyes) else False
 
     def _of_room(self, room_id: str) -> F64:
         """Return eyes (n, 3) at the positions of a room where an agent can stand."""

@@ -44,7 +44,7 @@ TECHNICAL = {
     "verify/placement.py": {"MILLIMETRE", "ROUNDING"},
     "episodes/placing.py": {"COMPASS_STEP"},
     # The verifier's own measurement: how many samples, how sure, how many at once.
-    "verify/sight.py": {"OWN_POINTS", "ODDS", "EYES_AT_ONCE", "RAYS_AT_ONCE", "LINES_KEPT", "_R2"},
+    "verify/sight.py": {"OWN_POINTS", "ODDS", "EYES_AT_ONCE", "RAYS_AT_ONCE", "TURNS", "LINES_KEPT", "_R2"},
     "verify/visibility.py": {"POINTS", "FEW", "SEEN_SHARE"},
     "verify/files.py": {"_BLOCK"},
     "verify/completeness.py": {"_BLOCK"},

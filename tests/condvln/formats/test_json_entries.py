@@ -95,6 +95,55 @@ def test_pythons_own_constants_are_named(tmp_path: Path, name: str) -> None:
         parsed(f"[{name}]".encode(), tmp_path, "entry")
 
 
+@st.composite
+def objects_in_text(draw: st.DrawFn) -> str:
+    """JSON with objects whose keys may repeat, and with colons in texts, as they are or as escapes."""
+    pieces = st.sampled_from([":", "\\u003a", "\\u003A", "a", "\\\\u003a", '\\"'])
+    text = st.lists(pieces, max_size=3).map(lambda found: f'"{"".join(found)}"')
+    value = st.recursive(
+        text | st.sampled_from(["1", "null"]),
+        lambda inner: (
+            st.lists(inner, max_size=3).map(lambda items: f"[{', '.join(items)}]")
+            | st.lists(st.tuples(text, inner), max_size=3).map(
+                lambda items: f"{{{', '.join(f'{key}: {item}' for key, item in items)}}}"
+            )
+        ),
+        max_leaves=8,
+    )
+    return draw(value)
+
+
+@given(objects_in_text())
+def test_repeated_keys_are_refused_and_nothing_else(text: str) -> None:
+    """However colons of texts and keys are spelled."""
+    repeated = []
+
+    def note(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        repeated.append(len(items) > len(dict(items)))
+        return dict(items)
+
+    value = json.loads(text, object_pairs_hook=note)
+    if any(repeated):
+        with pytest.raises(FormatError, match="is there twice in one object"):
+            parsed(text.encode(), Path("made.json"), "")
+    else:
+        assert parsed(text.encode(), Path("made.json"), "") == value
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[{"a": {"b": 1, "b": "\\u003a"}}]',
+        '[{"a": {"b": "x", "b": ["\\u003A", "\\u003a"]}}]',
+        '[{"a": {"\\u003a": 1, "b": 2, "b": 3}}]',
+        '[{"a": {"b": [":"], "b": 9223372036854775808000}}]',
+    ],
+)
+def test_an_escaped_colon_does_not_hide_a_repeated_key(text: str) -> None:
+    with pytest.raises(FormatError, match="the key 'b' is there twice in one object"):
+        parsed(text.encode(), Path("made.json"), "")
+
+
 def test_a_cut_gzip_and_no_file(tmp_path: Path) -> None:
     path = tmp_path / "cut.json.gz"
     path.write_bytes(gzip.compress(b'{"a": [1, 2, 3]}' * 50)[:-12])

@@ -206,3 +206,28 @@ def test_a_frame_hides_nothing_of_what_is_on_it() -> None:
             EpisodeConfig(),
         )
         assert bool(sight.meets("vase", np.array([[0.0, 1.25, 0.0]]), sight.surface("vase", 64)).any()) == seen
+
+
+@pytest.mark.parametrize("eyes", [1, 7, 40, 700])
+def test_points_are_met_as_by_each_eye_alone_until_enough_are(eyes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Around a wall that hides the vase from half of the room."""
+    monkeypatch.setattr(module, "EYES_AT_ONCE", 16)
+    wall = dataclasses.replace(box("wall", 1.0, 0.3, 0.2, 0.0, 2.0), object_id="wall", room_id="r")
+    vase = dataclasses.replace(box("vase", 1.6, 0.0, 0.2, 0.5, 1.5), object_id="vase", room_id="r")
+    scene = Scene("made", "flat", Path("."), (ROOM,), (wall, vase))
+    nothing = np.empty((0, 3))
+    sight = Sight(
+        scene, None, lambda item: False, lambda item: False, lambda room_id: nothing, PlacesConfig(), EpisodeConfig()
+    )
+    rng = np.random.default_rng(eyes)
+    places = rng.uniform([-1.0, 1.0, -1.0], [0.5, 1.4, 1.0], (eyes, 3))
+    points = sight.surface("vase", 64)
+    alone = np.array([sight.meets("vase", place[None], points) for place in places])
+    expected = alone.any(axis=0)
+    np.testing.assert_array_equal(sight.meets("vase", places, points), expected)
+    assert 0 < expected.sum() < len(points)
+    for enough in (0, 1, expected.sum(), expected.sum() + 1):
+        met = sight.meets("vase", places, points, enough)
+        assert (met <= expected).all()
+        assert (met.sum() >= enough) == (expected.sum() >= enough)
+    assert not sight.meets("vase", places[:0], points).any()
