@@ -512,6 +512,14 @@ def test_the_shipped_benchmark_says_whether_it_is_a_draft(pytestconfig: pytest.C
     assert benchmark.file.instructions == 11_500
 
 
+def test_the_shipped_benchmark_is_built_by_its_own_code(pytestconfig: pytest.Config) -> None:
+    """Code with its versions has its configuration too. Later code has other versions, and is refused for them."""
+    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
+    assert not benchmark.file.draft
+    if benchmark.file.stages == code_versions(benchmark.config):
+        assert not other_parts(benchmark.file, benchmark.config)
+
+
 def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_split(
     pytestconfig: pytest.Config,
 ) -> None:
