@@ -169,8 +169,10 @@ def double(x):
 def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
     """Inlined at two places, a kernel would be compiled twice; one that Python calls is compiled by itself anyway.
 
-    The kernels that rasterise triangles are faster if they are compiled apart.
+    The kernels that rasterise triangles are faster if they are compiled apart. So are the kernels of stops whose rare
+    parts, which allocate, stay calls: a part that may fail makes a kernel count the references of all its arrays.
     """
+    rare_parts = {"_draw_label", "_search"}
     package = Path(condvln.__path__[0])
     for path in sorted(package.rglob("*.py")):
         if re.search(r"condvln\.compiled|kernels|navigation\.recast", path.read_text()):
@@ -192,7 +194,8 @@ def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
     assert {kernel.py_func.__module__ for kernel in apart} == {"condvln.navigation.recast.heightfield"}
     expected -= apart
     found = {kernel for kernel in kernels if kernel.targetoptions.get("inline") == "always"}
-    assert {kernel.py_func.__qualname__ for kernel in found ^ expected} == set()
+    assert {kernel.py_func.__qualname__ for kernel in found ^ expected} == rare_parts
+    assert not rare_parts & {kernel.py_func.__qualname__ for kernel in found}
 
 
 def used_in(code: CodeType, names: Mapping[str, object]) -> Iterator[Dispatcher]:

@@ -131,6 +131,8 @@ def _search(allowed: Bools, free: Bools, n: int, waypoints: int, apart: Bools, l
     """Return whether `allowed` contains `n` targets that have different labels and are pairwise apart, and `free`
     contains `waypoints` more such targets, also apart from the first `n`. One target after the other is tried; after
     `SEARCHED` targets, of the first `n` or of the others, the result is True.
+
+    It allocates, and is seldom needed: as a call of its own, `fits` need not count references.
     """
     t, total = len(allowed), n + waypoints
     # Row d holds the targets that may still be tried as number d, and what is free for waypoints before it is chosen.
@@ -198,7 +200,10 @@ def fits(allowed: Bools, free: Bools, n: int, waypoints: int, questions: Questio
 def _draw_label(
     allowed: Bools, sums: Doubles, labels: Longs, members: Longs, spans: Longs, stream: Doubles, left: Longs
 ) -> int:
-    """Return one of the labels that `allowed` targets have, by its weight, or NONE; see `_draw_target`."""
+    """Return one of the labels that `allowed` targets have, by its weight, or NONE; see `_draw_target`.
+
+    It allocates, and is seldom needed: as a call of its own, `_draw_target` need not count references.
+    """
     there, weights = np.empty(len(labels), np.int64), np.empty(len(labels))
     n, total = 0, 0.0
     for k in range(len(labels)):
