@@ -38,7 +38,6 @@ import json, os, resource, sys, time
 from collections import defaultdict
 from pathlib import Path
 from rich.console import Console
-from condvln.compiled import warm_up
 from factory.executor import InlineExecutor
 from factory.index import Index
 from factory.local_store import LocalStore
@@ -50,8 +49,15 @@ from jobs.pipeline import build_pipeline, list_units
 from jobs.verify import verify_export
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, InstructionsConfig, SourceConfig
-from schemas.config.run import SplitsConfig
 from schemas.program import CATEGORIES
+try:
+    from schemas.config.run import SplitsConfig
+except ModuleNotFoundError:  # schemas.config was one module
+    from schemas.config import SplitsConfig
+try:
+    from condvln.compiled import warm_up
+except ModuleNotFoundError:  # kernels were compiled where they were first used
+    warm_up = None
 
 family, root, folder, scenes, asked, proven = json.loads(sys.argv[1])
 folder = Path(folder)
@@ -81,14 +87,16 @@ class Listener(Silence):
             if stage.made:
                 self.spent[stage.stage] += stage.cpu_seconds
 
-quiet = lambda message: None
-warm_up(quiet)
+if warm_up:
+    warm_up(lambda message: None)
 config = config_of()
 units = list_units(config, hasher(file_hashes(config)))
 units = [units[at * len(units) // scenes] for at in range(scenes)] if len(units) > scenes else units
 config = config_of(scenes=tuple(sorted(unit.unit_id.partition("/")[2] for unit in units)))
-store, listener = LocalStore(folder / "store"), Listener()
 pipeline = build_pipeline(config)
+if not warm_up:
+    run(pipeline, units[:1], LocalStore(folder / "warm"), "versus", InlineExecutor())
+store, listener = LocalStore(folder / "store"), Listener()
 _, whole = timed(lambda: run(pipeline, units, store, "versus", InlineExecutor(), progress=listener))
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 manifest = Snapshot.open(store, "versus").manifest
