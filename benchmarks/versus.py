@@ -85,7 +85,7 @@ class Listener(Silence):
         self.failed += bool(getattr(receipt, "fault", None) or getattr(receipt, "error", None))
         for stage in receipt.stages:
             if stage.made:
-                self.spent[stage.stage] += stage.cpu_seconds
+                self.spent[stage.stage] += getattr(stage, "cpu_seconds", stage.seconds)
 
 if warm_up:
     warm_up(lambda message: None)
