@@ -33,6 +33,7 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 from numba.core.types.containers import BaseNamedTuple, BaseTuple
+from numba.extending import _Intrinsic
 
 __all__ = ["KernelCache", "cache_folders", "kernel_digest"]
 
@@ -201,6 +202,8 @@ def _value(value: object) -> object:
         return "class", value.__module__, value.__qualname__, getattr(value, "_fields", None)
     if isinstance(value, np.dtype | numba.types.Type):
         return "type", type(value).__qualname__, repr(value)
+    if isinstance(value, _Intrinsic):
+        return "intrinsic", _content(value._defn)[0]
     if isinstance(value, np.ufunc | BuiltinFunctionType):
         return "function", getattr(value, "__module__", None), value.__name__
     # Nothing says what else may hold. A kernel that uses it is compiled in each process; a stale one would be wrong.

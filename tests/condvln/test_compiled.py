@@ -13,12 +13,18 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import CodeType, FunctionType
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import TypingError
+from numba.typed import List
 
 import condvln
 import condvln.navigation
+from condvln.compiled import compiled, keep, uncounted
 
 KERNEL = """
 import sys
@@ -164,6 +170,78 @@ def double(x):
     (kernels / "kernel.py").write_text(source)
     assert run(kernels, tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "cache")).stdout == "64\n"
     assert len(cached(tmp_path)) == files
+
+
+INTRINSIC = """
+from numba import types
+from numba.extending import intrinsic
+from condvln.compiled import compiled
+@intrinsic
+def times(typing, x):
+    return x(x), lambda context, builder, signature, native: builder.mul(native[0], native[0].type(2))
+@compiled
+def double(x):
+    return times(x)
+"""
+
+
+def test_a_kernel_that_uses_an_intrinsic_is_kept_until_what_it_does_changes(kernels: Path, tmp_path: Path) -> None:
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for text, answer, files in (
+        (INTRINSIC, 42, 1),
+        (INTRINSIC, 42, 1),
+        (INTRINSIC.replace("type(2)", "type(3)"), 63, 2),
+    ):
+        (kernels / "kernel.py").write_text(text)
+        assert run(kernels, tmp_path / "home", **environment).stdout == f"{answer}\n"
+        assert len(cached(tmp_path)) == files
+
+
+class Pair(NamedTuple):
+    numbers: npt.NDArray[np.float64]
+    count: int
+    inner: tuple[npt.NDArray[np.int64], bool]
+
+
+@compiled
+def _callee(pair: Pair, k: int) -> float:
+    if k > 3:
+        return 0.0
+    pair.inner[0][k] += 1
+    return float(pair.numbers[k] * pair.count)
+
+
+@compiled
+def _caller(pair: Pair, rounds: int) -> tuple[float, float]:
+    pair = uncounted(pair)
+    held = (np.zeros(8), np.zeros((2, 8)))
+    total, rows = uncounted(held)
+    row = rows[1]
+    for i in range(rounds):
+        other = np.full(8, 7.0)  # would get the memory of `held` if that had been freed
+        total[i % 8] += _callee(pair, i % 6)
+        row[i % 8] += other[i % 8] - 6.0
+    keep(held)
+    return total.sum(), row.sum()
+
+
+def test_uncounted_arrays_are_the_same_memory_and_live_as_long_as_they_are_kept() -> None:
+    numbers, seen = np.arange(1.0, 5.0), np.zeros(4, np.int64)
+    references = sys.getrefcount(numbers), sys.getrefcount(seen)
+    for _ in range(3):
+        seen[:] = 0
+        assert _caller(Pair(numbers, 2, (seen, True)), 600) == (2000.0, 600.0)
+        assert seen.tolist() == [100] * 4
+    assert (sys.getrefcount(numbers), sys.getrefcount(seen)) == references
+
+
+def test_what_else_is_counted_cannot_be_uncounted() -> None:
+    @compiled
+    def first(texts: list[float]) -> float:
+        return uncounted(texts)[0]
+
+    with pytest.raises(TypingError, match="references to ListType"):
+        first(List([1.0]))
 
 
 def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:

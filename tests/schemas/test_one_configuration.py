@@ -99,6 +99,7 @@ TECHNICAL = {
         "NO_ROOM",
         "OTHER_LEAF",
         "PER_METRE",
+        "UNKNOWN",
         "UNREACHABLE",
     },
     "instructions/kernels/conditions.py": {

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, keep, uncounted
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NO_POLYGON
@@ -86,8 +86,9 @@ def nearest_points(
         the point; without a path, to the object's first point
     """
     starts = distance.shape[0]
-    search = new_search(mesh.poly_size.shape[0])
-    points = np.empty((MAX_POINTS, 3), np.float32)
+    mesh, asked, polys, at = uncounted((mesh, asked, polys, at))
+    held = (new_search(mesh.poly_size.shape[0]), np.empty((MAX_POINTS, 3), np.float32))
+    search, points = uncounted(held)
     for k in objects:
         begin, end = first[k], first[k + 1]
         straight = np.empty(end - begin)
@@ -107,6 +108,7 @@ def nearest_points(
                     if found < best or (found == best and found < math.inf and begin + i < chosen):
                         best, chosen = found, begin + i
             distance[start, k], nearest[start, k] = best, chosen
+    keep(held)
 
 
 @compiled
@@ -130,8 +132,9 @@ def apart_objects(
     """
     n = first.shape[0] - 1
     apart = np.ones((n, n), np.bool_)
-    search = new_search(mesh.poly_size.shape[0])
-    points = np.empty((MAX_POINTS, 3), np.float32)
+    mesh, asked, polys, at = uncounted((mesh, asked, polys, at))
+    held = (new_search(mesh.poly_size.shape[0]), np.empty((MAX_POINTS, 3), np.float32))
+    search, points = uncounted(held)
     for one in range(n):
         apart[one, one] = False
         for other in range(one + 1, n):
@@ -153,6 +156,7 @@ def apart_objects(
                         break
             apart[one, other] = not near
             apart[other, one] = not near
+    keep(held)
     return apart
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, inlined, keep, uncounted
 from condvln.episodes.kernels.distances import distance_between, straight_distance
 from condvln.episodes.kernels.ways import comes_within, passes_through
 from condvln.navigation.kernels.astar import Search, new_search
@@ -37,6 +37,7 @@ REFUSALS = ("unreachable", "path_through_furniture", "path_enters_other_leaf", "
 UNREACHABLE, FURNITURE, OTHER_LEAF, LENGTH = 0, 1, 2, 3
 ACCEPTED = -1
 NO_ROOM = -2
+UNKNOWN = -3
 
 PER_METRE = 1000.0
 """Positions are rounded to 1/1000 m."""
@@ -108,7 +109,14 @@ def put_keys(keys: Indices, ways: Indices, new_keys: Indices, new_ways: Indices)
 
 
 @compiled
-def _way(
+def _known_way(keys: Indices, ways: Indices, key: int) -> int:
+    """Return the way of a key, or ``UNKNOWN``."""
+    at = _slot(keys, key)
+    return ways[at] if keys[at] == key else UNKNOWN
+
+
+@compiled
+def _new_way(
     mesh: QueryMesh,
     search: Search,
     places: Places,
@@ -118,14 +126,12 @@ def _way(
     points: Floats,
     kept: Floats,
 ) -> int:
-    """Return the way from a place to the nearest goal point of an object, and find it if it is not known; ``NO_ROOM``
-    if there is no room for it.
+    """Find the way from a place to the nearest goal point of an object, keep it and return it; ``NO_ROOM`` if there is
+    no room for it.
     """
     starts = places.distance.shape[0]
     key = place * (places.first.shape[0] - 1) + goal
     at = _slot(known.keys, key)
-    if known.keys[at] == key:
-        return int(known.ways[at])
     way = known.used[0]
     begin = known.used[1]
     if way == known.point.shape[0] or 2 * way >= known.keys.shape[0] or begin + MAX_POINTS > known.corners.shape[0]:
@@ -166,19 +172,29 @@ def route_lengths(
     """Write to ``lengths`` (k,) the lengths in metres of the routes from each of k starts through all ``moves``, each
     time to the nearest goal point of the next object. Return whether there was room for all ways.
     """
-    search = new_search(mesh.poly_size.shape[0])
-    points, kept = np.empty((MAX_POINTS, 3), np.float32), np.empty((MAX_POINTS, 3), np.float32)
+    mesh, places, known = uncounted((mesh, places, known))
+    held = new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32)
+    search, corners = uncounted(held)
+    points, kept = corners[0], corners[1]
+    first, objects = places.distance.shape[0], places.first.shape[0] - 1
+    room = True
     for i in range(starts.shape[0]):
         at = places.nearest[starts[i], moves[0]]
         onward = 0.0
         for k in range(1, moves.shape[0]):
-            way = _way(mesh, search, places, known, places.distance.shape[0] + at, moves[k], points, kept)
+            way = _known_way(known.keys, known.ways, (first + at) * objects + moves[k])
+            if way == UNKNOWN:
+                way = _new_way(mesh, search, places, known, first + at, moves[k], points, kept)
             if way == NO_ROOM:
-                return False
+                room = False
+                break
             onward += known.distance[way]
             at = known.point[way]
+        if not room:
+            break
         lengths[i] = places.distance[starts[i], moves[0]] + onward
-    return True
+    keep(held)
+    return room
 
 
 @inlined
@@ -212,14 +228,16 @@ def _judged(
 ) -> int:
     """Write the routes of all leaves from a start; return ``ACCEPTED``, why the start is refused, or ``NO_ROOM``."""
     leaves = first_move.shape[0] - 1
-    starts = places.distance.shape[0]
+    starts, objects = places.distance.shape[0], places.first.shape[0] - 1
     for leaf in range(leaves):
         place, size = start, int(leaves > 0)
         paths[leaf, 0] = places.exact[start]
         lengths[leaf] = 0.0
         crosses = False
         for k in range(first_move[leaf], first_move[leaf + 1]):
-            way = _way(mesh, search, places, known, place, moves[k], points, kept)
+            way = _known_way(known.keys, known.ways, place * objects + moves[k])
+            if way == UNKNOWN:
+                way = _new_way(mesh, search, places, known, place, moves[k], points, kept)
             if way == NO_ROOM:
                 return NO_ROOM
             if known.sizes[way] == 0:
@@ -283,11 +301,16 @@ def first_fit(
     most_moves = 0
     for leaf in range(leaves):
         most_moves = max(most_moves, first_move[leaf + 1] - first_move[leaf])
-    paths = np.empty((leaves, most_moves * MAX_POINTS + 1, 3))
+    mesh, places, known = uncounted((mesh, places, known))
+    held = (
+        np.empty((leaves, most_moves * MAX_POINTS + 1, 3)),
+        new_search(mesh.poly_size.shape[0]),
+        np.empty((2, MAX_POINTS, 3), np.float32),
+    )
+    paths, search, buffers = uncounted(held)
+    points, kept = buffers[0], buffers[1]
     sizes, lengths = np.zeros(leaves, np.int64), np.zeros(leaves)
     stops = np.zeros(moves.shape[0], np.int64)
-    search = new_search(mesh.poly_size.shape[0])
-    points, kept = np.empty((MAX_POINTS, 3), np.float32), np.empty((MAX_POINTS, 3), np.float32)
     outcome, tried = NOTHING_FITS, 0
     while tried < order.shape[0]:
         found = _judged(
@@ -308,4 +331,5 @@ def first_fit(
         for leaf in range(leaves):
             corners[used : used + sizes[leaf]] = paths[leaf, : sizes[leaf]]
             used += sizes[leaf]
+    keep(held)
     return outcome, tried, corners, sizes, stops, lengths

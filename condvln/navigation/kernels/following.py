@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, inlined, keep, uncounted
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.geometry import ONE, ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -323,18 +323,18 @@ def follow(
     actions = np.empty(max_actions + 1, np.int8)
     locations = np.empty((max_actions + 1, 3), np.float32)
     arrivals = np.full(goals.shape[0], -1, np.int64)
-    search = new_search(mesh.poly_size.shape[0])
-    points = np.empty((MAX_POINTS, 3), np.float32)
-    scratch = np.empty((MAX_POINTS, 3), np.float32)
-    point = start.copy()
-    reached = np.empty(3, np.float32)
+    mesh, gait, goals = uncounted(mesh), uncounted(gait), uncounted(goals)
+    held = (new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32), np.empty((3, 3), np.float32))
+    search, corners, places = uncounted(held)
+    points, scratch = corners[0], corners[1]
+    point, reached, at = places[0], places[1], places[2]
+    point[:] = start
     locations[0] = point
     made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees again
     status = ARRIVED
     distance = ZERO
     for number in range(goals.shape[0]):
         asked = goals[number]
-        at = np.empty(3, np.float32)
         poly, at[0], at[1], at[2] = nearest_polygon(mesh, asked[0], asked[1], asked[2], ANY_ISLAND)
         goal = Goal(asked, poly, at)
         distance, count = _remaining(mesh, search, point, goal, points)
@@ -383,6 +383,7 @@ def follow(
             break
         arrivals[number] = walked
     actions[made] = STOP
+    keep(held)
     return actions[: made + 1].copy(), locations[: walked + 1].copy(), arrivals, distance, status
 
 
@@ -391,6 +392,7 @@ def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.i
     """Return the positions (n + 1, 3) and headings (n + 1,) of an agent before the first of n actions and after each
     action.
     """
+    mesh, gait = uncounted(mesh), uncounted(gait)
     headings = gait.moves.shape[0]
     places = np.empty((actions.shape[0] + 1, 3), np.float32)
     facing = np.empty(actions.shape[0] + 1, np.int64)

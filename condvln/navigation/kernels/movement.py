@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, inlined, keep, uncounted
 from condvln.navigation.kernels.astar import CLOSED, OPEN, Search, moved_up, new_search, place_at_edge, pop, push
 from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, distance, inside_polygon, point_to_segment
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -186,6 +186,7 @@ def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
 @compiled
 def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
     """Return the end points (n, 3) of n moves from ``starts`` towards ``ends``, each as :func:`step` gives it."""
+    mesh = uncounted(mesh)
     reached = np.empty((starts.shape[0], 3), np.float32)
     for i in range(starts.shape[0]):
         step(mesh, starts[i], ends[i], sliding, reached[i])
@@ -275,7 +276,9 @@ def nearest_walls(mesh: QueryMesh, points: Floats, max_radius: np.float32) -> tu
     distances = np.empty(n, np.float32)
     hits = np.empty((n, 3), np.float32)
     normals = np.empty((n, 3), np.float32)
-    search = new_search(mesh.poly_size.shape[0])
+    mesh, held = uncounted(mesh), new_search(mesh.poly_size.shape[0])
+    search = uncounted(held)
     for i in range(n):
         distances[i] = nearest_wall(mesh, search, points[i], max_radius, hits[i], normals[i])
+    keep(held)
     return distances, hits, normals

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, constant, inlined
+from condvln.compiled import compiled, constant, inlined, uncounted
 from condvln.navigation.kernels.geometry import (
     GREATEST,
     ONE,
@@ -217,6 +217,7 @@ def _too_far(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, best: np.
 @compiled
 def project(mesh: QueryMesh, points: Floats, island: int) -> tuple[Indices, Floats]:
     """Return, for n points, the nearest polygons (n,) and the snapped points (n, 3)."""
+    mesh = uncounted(mesh)
     polys = np.empty(points.shape[0], np.int64)
     snapped = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
@@ -244,6 +245,7 @@ def navigable(mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, max_
 @compiled
 def all_navigable(mesh: QueryMesh, points: Floats, max_y_delta: np.float32) -> npt.NDArray[np.bool_]:
     """Return a mask (n,) of the points that are navigable, see :func:`navigable`."""
+    mesh = uncounted(mesh)
     answer = np.empty(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         answer[i] = navigable(mesh, points[i, 0], points[i, 1], points[i, 2], max_y_delta)
@@ -257,6 +259,7 @@ def top_down_view(
     """Return a mask (rows, columns) of the navigable points of a horizontal grid: habitat-sim's ``getTopDownView``. The
     grid begins at the mesh's lower bound; positions are accumulated in float32.
     """
+    mesh = uncounted(mesh)
     view = np.empty((rows, columns), np.bool_)
     z = mesh.grid[BMIN + 2]
     for row in range(rows):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, keep, uncounted
 from condvln.navigation.kernels.astar import Search, find_corridor, new_search
 from condvln.navigation.kernels.geometry import ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -90,7 +90,8 @@ def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> 
     lengths = np.empty(n, np.float32)
     counts = np.empty(n, np.int64)
     kept = np.empty((n * 4 + MAX_POINTS if keep_points else 0, 3), np.float32)
-    search = new_search(mesh.poly_size.shape[0])
+    mesh, held = uncounted(mesh), new_search(mesh.poly_size.shape[0])
+    search = uncounted(held)
     points = np.empty((MAX_POINTS, 3), np.float32)
     start_at = np.empty(3, np.float32)
     end_at = np.empty(3, np.float32)
@@ -115,6 +116,7 @@ def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> 
                 kept = grown
             kept[used : used + count] = points[:count]
             used += count
+    keep(held)
     return lengths, counts, kept[:used] if keep_points else kept
 
 
@@ -122,7 +124,8 @@ def routes(mesh: QueryMesh, starts: Floats, ends: Floats, keep_points: bool) -> 
 def distance_table(mesh: QueryMesh, starts: Floats, ends: Floats) -> Floats:
     """Return the path lengths (n, m) from each of n starts to each of m ends; each point is projected once."""
     table = np.empty((starts.shape[0], ends.shape[0]), np.float32)
-    search = new_search(mesh.poly_size.shape[0])
+    mesh, held = uncounted(mesh), new_search(mesh.poly_size.shape[0])
+    search = uncounted(held)
     points = np.empty((MAX_POINTS, 3), np.float32)
     start_polys, starts_at = project(mesh, starts, ANY_ISLAND)
     end_polys, ends_at = project(mesh, ends, ANY_ISLAND)
@@ -140,6 +143,7 @@ def distance_table(mesh: QueryMesh, starts: Floats, ends: Floats) -> Floats:
                 points,
             )
             table[i, j] = length
+    keep(held)
     return table
 
 
@@ -152,7 +156,8 @@ def route_to_nearest(
 
     Ends are tried in ``order``; an end whose lower bound exceeds the best length so far is skipped, as in habitat-sim.
     """
-    search = new_search(mesh.poly_size.shape[0])
+    mesh, held = uncounted(mesh), new_search(mesh.poly_size.shape[0])
+    search = uncounted(held)
     points = np.empty((MAX_POINTS, 3), np.float32)
     best = INFINITE
     goal = -1
@@ -160,10 +165,8 @@ def route_to_nearest(
     start_at = np.empty(3, np.float32)
     end_at = np.empty(3, np.float32)
     start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
-    if start_poly == NO_POLYGON:
-        return best, goal, kept
     for i in order:
-        if bounds[i] > best:
+        if bounds[i] > best or start_poly == NO_POLYGON:
             continue
         end = ends[i]
         end_poly, end_at[0], end_at[1], end_at[2] = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
@@ -172,4 +175,5 @@ def route_to_nearest(
             best = length
             goal = i
             kept = points[:count].copy()
+    keep(held)
     return best, goal, kept
