@@ -53,6 +53,7 @@ class Keyer:
         self._pipeline = pipeline
         self._code = [self._code_of(at) for at in range(len(pipeline.stages))]
         self._remembered: list[tuple[JSON, bytes] | None] = [None] * len(pipeline.stages)
+        self._inputs: tuple[Unit | None, bytes] = (None, b"")
         self._none = _hash(None)
 
     def _code_of(self, at: int) -> bytes:
@@ -70,8 +71,10 @@ class Keyer:
         return at == 0 or self._pipeline.stages[at].reads_inputs
 
     def inputs(self, unit: Unit) -> bytes:
-        """Hash the unit's files."""
-        return _hash(sorted((file.path, file.size, file.sha256) for file in unit.inputs))
+        """Hash the unit's files. The hash is cached for the stages of the unit, which follow each other."""
+        if self._inputs[0] is not unit:
+            self._inputs = (unit, _hash(sorted((file.path, file.size, file.sha256) for file in unit.inputs)))
+        return self._inputs[1]
 
     def content(self, unit: Unit) -> bytes:
         """Hash the bytes of the unit's files without their paths, so that the hash stays the same when a unit is

@@ -125,6 +125,21 @@ def _type_name(kind: pa.DataType) -> str:
     return str(kind)
 
 
+_NOTHING: Final = (0).to_bytes(8, "little")
+_LISTS: Final = frozenset({pa.lib.Type_LIST, pa.lib.Type_LARGE_LIST})
+_OFFSETS: Final = {
+    pa.lib.Type_STRING: "<i4",
+    pa.lib.Type_BINARY: "<i4",
+    pa.lib.Type_LARGE_STRING: "<i8",
+    pa.lib.Type_LARGE_BINARY: "<i8",
+}
+"""Types of the offsets of columns of text and bytes. Any other encoding of these is cast to the last two."""
+_NUMBERS: Final = frozenset(
+    getattr(pa.lib, f"Type_{name}")
+    for name in ("INT8", "INT16", "INT32", "INT64", "UINT8", "UINT16", "UINT32", "UINT64", "FLOAT", "DOUBLE")
+)
+
+
 class _Feed:
     """Feeds arrays to a hash. Every value is preceded by its length, so that different tables feed different bytes."""
 
@@ -133,17 +148,21 @@ class _Feed:
         self.size = 0
 
     def add(self, data: Any) -> None:
-        view = memoryview(data).cast("B") if len(data) else memoryview(b"")
+        if not len(data):
+            self.hash.update(_NOTHING)
+            return
+        view = memoryview(data).cast("B")
         self.hash.update(len(view).to_bytes(8, "little"))
         self.hash.update(view)
         self.size += len(view)
 
     def array(self, array: Any) -> None:
+        # By the number of the type where most columns are: asking pa.types takes longer than hashing a short column.
         kind = array.type
-        if pa.types.is_dictionary(kind):
+        if kind.id == pa.lib.Type_DICTIONARY:
             self.array(array.dictionary_decode())
             return
-        if pa.types.is_run_end_encoded(kind):
+        if kind.id == pa.lib.Type_RUN_END_ENCODED:
             self.array(pc.run_end_decode(array))
             return
         if isinstance(kind, pa.BaseExtensionType):
@@ -155,34 +174,51 @@ class _Feed:
             valid = array.is_valid().to_numpy(zero_copy_only=False)
             self.add(np.packbits(valid))
         else:
-            self.add(b"")
-        if pa.types.is_null(kind):
-            return
-        if pa.types.is_struct(kind):
+            self.hash.update(_NOTHING)
+        if kind.id == pa.lib.Type_STRUCT:
             for child in array.flatten():
                 self.array(child)
-        elif pa.types.is_list(kind) or pa.types.is_large_list(kind):
-            self.add(pc.fill_null(pc.list_value_length(array), 0).to_numpy().astype("<i8"))
+        elif kind.id in _LISTS:
+            self._lengths(array, valid)
             self.array(array.flatten())
-        elif pa.types.is_fixed_size_list(kind):
+        elif kind.id in _NUMBERS:
+            self._fixed(array, valid)
+        elif kind.id in _OFFSETS:
+            self._variable(array, valid)
+        elif kind.id == pa.lib.Type_BOOL:
+            whole = array if valid is None else pc.fill_null(array, False)
+            self.add(np.packbits(whole.to_numpy(zero_copy_only=False)))
+        else:
+            self._rare(array, valid)
+
+    def _rare(self, array: Any, valid: Any) -> None:
+        kind = array.type
+        if pa.types.is_null(kind):
+            return
+        if pa.types.is_fixed_size_list(kind):
             self.array(array.flatten())
         elif _type_name(kind) in ("string", "binary"):
-            self._variable(array)
-        elif pa.types.is_boolean(kind):
-            self.add(np.packbits(pc.fill_null(array, False).to_numpy(zero_copy_only=False)))
+            self._variable(array, valid)
         elif pa.types.is_primitive(kind) or pa.types.is_decimal(kind) or pa.types.is_fixed_size_binary(kind):
             self._fixed(array, valid)
         else:
             raise StageError(f"columns of type {kind} have no canonical form; use structs and lists")
 
-    def _variable(self, array: Any) -> None:
-        if array.null_count:
+    def _lengths(self, array: Any, valid: Any) -> None:
+        if valid is None and len(array):
+            self.add(np.diff(array.offsets.to_numpy()).astype("<i8"))
+        else:
+            self.add(pc.fill_null(pc.list_value_length(array), 0).to_numpy().astype("<i8"))
+
+    def _variable(self, array: Any, valid: Any) -> None:
+        if valid is not None:
             array = pc.fill_null(array, "" if _type_name(array.type) == "string" else b"")
-        large = array.cast(pa.large_string() if _type_name(array.type) == "string" else pa.large_binary())
-        _, offsets, data = large.buffers()
-        ends = (
-            np.frombuffer(offsets, "<i8", count=len(large) + 1, offset=large.offset * 8) if len(large) else np.zeros(1)
-        )
+        if array.type.id not in _OFFSETS:
+            array = array.cast(pa.large_string() if _type_name(array.type) == "string" else pa.large_binary())
+        width = np.dtype(_OFFSETS[array.type.id])
+        _, offsets, data = array.buffers()
+        start = array.offset * width.itemsize
+        ends = np.frombuffer(offsets, width, count=len(array) + 1, offset=start) if len(array) else np.zeros(1)
         self.add(np.diff(ends).astype("<i8"))
         first, last = int(ends[0]), int(ends[-1])
         self.add(memoryview(data)[first:last] if data is not None and last > first else b"")
@@ -195,9 +231,12 @@ class _Feed:
             return
         raw = np.frombuffer(buffer, np.uint8, count=len(array) * width, offset=array.offset * width)
         if pa.types.is_floating(array.type):
-            values = raw.view(f"<f{width}").copy()
-            values[np.isnan(values)] = np.nan
-            raw = values.view(np.uint8)
+            values = raw.view(f"<f{width}")
+            missing = np.isnan(values)
+            if missing.any():
+                values = values.copy()
+                values[missing] = np.nan
+                raw = values.view(np.uint8)
         if valid is not None:
             raw = raw.reshape(-1, width).copy()
             raw[~valid] = 0

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import Any, Final
 
@@ -61,6 +61,9 @@ anything in this room.
 """
 
 DEFAULT_WEIGHTS: Final = PredicateWeights()
+
+LAYOUTS_KEPT: Final = 8
+"""Number of layouts whose factors are kept for the next scene of the layout."""
 
 MERGE_ROWS: Final = 200_000
 """Number of rows collected before they are summed: limits memory without summing for every scene."""
@@ -121,9 +124,11 @@ class LabelPriors:
     matter.
 
     parts : tables of schema `PRIORS`, to be summed
+    summed : the one part is sorted, and no two rows of it are about the same statement
     """
 
     parts: tuple[pa.Table, ...]
+    summed: bool = False
 
     @classmethod
     def of_scene(cls, scene: Scene, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
@@ -152,11 +157,11 @@ class LabelPriors:
             rows += sum(table.num_rows for table in part.parts)
             if rows > MERGE_ROWS:
                 pending, rows = [_summed(pending)], 0
-        return cls((_summed(pending),) if pending else ())
+        return cls((_summed(pending),), summed=True)
 
     @cached_property
     def _counts(self) -> pa.Table:
-        return _summed(self.parts)
+        return self.parts[0] if self.summed else _summed(self.parts)
 
     def table(self) -> pa.Table:
         """Return the sums as a table of schema `PRIORS`, sorted."""
@@ -240,26 +245,41 @@ class LabelPriors:
         """Return the factors of `statements`; see `PriorBits`. They come from all statements about all stagings of the
         scene's layout.
         """
-        asked = sorted(asked_in(scene.family) & sayable(directions))
+        asked = tuple(sorted(asked_in(scene.family) & sayable(directions)))
+        weights = tuple((group, getattr(predicates, group)) for group in PREDICATE_GROUPS)
+        found = _factors(self, layout_of(scene.scene_id), tuple(sorted(staged)), asked, weights)
+        return {key: factors for key, factors in found.items() if key in statements}
+
+    def about(self, layout: str, room_types: Sequence[str], predicates: Sequence[str]) -> pa.Table:
+        """Return the rows about rooms of a layout that are of one of the types and have one of the predicates."""
         read = pc.and_(
-            pc.equal(self._counts["layout"], layout_of(scene.scene_id)),
-            pc.is_in(self._counts["room_type"], pa.array(sorted(staged), pa.string())),
+            pc.equal(self._counts["layout"], layout),
+            pc.is_in(self._counts["room_type"], pa.array(room_types, pa.string())),
         )
-        rows = self._counts.filter(pc.and_(read, pc.is_in(self._counts["predicate"], pa.array(asked, pa.string()))))
-        weights = {group: getattr(predicates, group) for group in PREDICATE_GROUPS}
-        return {key: factors for key, factors in even_factors(rows, weights).items() if key in statements}
+        asked = pc.is_in(self._counts["predicate"], pa.array(predicates, pa.string()))
+        return self._counts.filter(pc.and_(read, asked))
+
+
+@lru_cache(maxsize=LAYOUTS_KEPT)
+def _factors(
+    priors: LabelPriors,
+    layout: str,
+    staged: tuple[str, ...],
+    asked: tuple[str, ...],
+    weights: tuple[tuple[str, float], ...],
+) -> Mapping[Statement, ByConditions]:
+    """Return the factors of all statements about the stagings of a layout: equal for all its scenes, since what one
+    scene holds does not enter.
+    """
+    return even_factors(priors.about(layout, staged, asked), dict(weights))
 
 
 def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
-    """Return the counts of each statement, summed over layouts and stagings."""
-    found: dict[Statement, tuple[int, int]] = {}
-    for _, _, t, label, predicate, anchor, definite, n, m in zip(*rows.to_pydict().values(), strict=True):
-        key = (t, label, predicate, anchor, definite)
-        if key in found:
-            true, false = found[key]
-            n, m = true + n, false + m
-        found[key] = (n, m)
-    return found
+    """Return the counts of each statement, summed over layouts and stagings, in the order of their first rows."""
+    # Without threads, since only then the groups keep the order of the rows.
+    sums = rows.group_by(list(_KEYS[2:]), use_threads=False).aggregate([("n_true", "sum"), ("n_false", "sum")])
+    columns = [sums[name].to_pylist() for name in (*_KEYS[2:], "n_true_sum", "n_false_sum")]
+    return dict(zip(zip(*columns[:5], strict=True), zip(*columns[5:], strict=True), strict=True))
 
 
 def _summed(parts: Sequence[pa.Table]) -> pa.Table:

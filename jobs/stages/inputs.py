@@ -142,6 +142,7 @@ _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
 _candidates: Final[_Latest[list[Candidate]]] = _Latest()
 _programs: Final[_Latest[dict[str, Program]]] = _Latest()
+_priors: Final[_Latest[LabelPriors]] = _Latest()
 _bits: Final[_Latest[PriorBits]] = _Latest()
 
 
@@ -178,7 +179,8 @@ def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions
     """Return the bits of the priors that a scene reads: the stage's key needs them, and then the stage itself."""
 
     def read() -> PriorBits:
-        return LabelPriors.from_table(priors).bits(scene, sampling.plausible_share, sampling.predicates, directions)
+        counts = _priors.get((priors,), lambda: LabelPriors.from_table(priors))
+        return counts.bits(scene, sampling.plausible_share, sampling.predicates, directions)
 
     return _bits.get((scene, priors, sampling, directions), read)
 
