@@ -52,7 +52,7 @@ TECHNICAL = {
     "verify/slices.py": {"SAME_SECTION", "TOUCHING"},
     "verify/text_reader.py": {"MAX_CONDITIONS", "_CASES", "_ALWAYS"},
     # Order of work and memory; the result is the same whatever they are.
-    "instructions/priors.py": {"MERGE_ROWS"},
+    "instructions/priors.py": {"LAYOUTS_KEPT", "MERGE_ROWS"},
     "instructions/stop_sampler.py": {"ANSWERS_KEPT"},
     "episodes/view.py": {"FIRST_LOOKS", "LOOK_TURNS", "LOOKS_AT_ONCE"},
     "episodes/visibility.py": {"FIRST_PLACES", "CLOSE_SAMPLES"},
