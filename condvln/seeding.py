@@ -46,6 +46,7 @@ class Draws:
         self._generator = generator
         self._stream = np.empty(0)
         self._block: list[float] = []  # the unread part of the stream, read from its end as well
+        self._next = BLOCK
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
@@ -59,21 +60,22 @@ class Draws:
         ``condvln.instructions.kernels.stream``). The kernel is called again with a longer stream as long as it asks for
         more uniforms than there are.
         """
-        more = BLOCK
         if not self._block:
-            self._longer(more)
+            self._longer()
         while True:
             left = np.array([len(self._block), 0])
             found = kernel(self._stream, left)
             if not left[1]:
                 del self._block[left[0] :]
                 return found
-            self._longer(more)
-            more *= 2
+            self._longer()
 
-    def _longer(self, count: int) -> None:
-        """Add `count` or more uniforms to the stream, to be read after those that are left in it."""
-        blocks = [self._generator.random(BLOCK) for _ in range(-(-count // BLOCK))]
+    def _longer(self) -> None:
+        """Add blocks to the stream, to be read after what is left in it: each time twice as many, since a kernel whose
+        stream ended does its work again.
+        """
+        blocks = [self._generator.random(BLOCK) for _ in range(self._next // BLOCK)]
+        self._next *= 2
         self._stream = np.concatenate([*reversed(blocks), self._stream[: len(self._block)]])
         self._block = self._stream.tolist()
 

@@ -6,31 +6,24 @@ if one with the opposite truth would be possible in its place.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from itertools import accumulate, pairwise, product
+from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.degeneracy import Claim
-from condvln.instructions.kernels.conditions import NOTHING, RULES, draw_conditions, leave_a_question, rules_of_places
+from condvln.instructions.kernels.conditions import NOTHING, leave_a_question, rules_of_places
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
-from condvln.instructions.rejection import GivenUp
 from condvln.instructions.statement_tables import AskedRoom, Groups, NumberedStatements
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
-from schemas.config.constants import PLAIN_ROOM_WEIGHT
-from schemas.program import Condition, ObjectRef, Program, RoomRef
+from schemas.program import Condition, Program, RoomRef
 
 __all__ = ["ConditionSampler"]
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
 
 class ConditionSampler:
@@ -44,7 +37,6 @@ class ConditionSampler:
     ----------
     rooms : ids of the rooms that have true and false statements
     start_rooms : ids of the rooms where egocentric conditions are possible, if the start is there
-    clashes : number of conditions that were drawn again because of each rule of ``degeneracy``
     """
 
     def __init__(
@@ -64,12 +56,11 @@ class ConditionSampler:
         self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
         self.start_rooms = tuple(name for name, part in self._rooms.items() if part.bearings)
         self.rooms = tuple(self._rooms)
-        self.clashes: Counter[str] = Counter()
         self._made: dict[tuple[str | None, int], Condition] = {}
-        self._known_rooms: dict[tuple[tuple[str, str | None], ...], tuple[list[str], I64, F64]] = {}
 
     @cached_property
-    def _numbered(self) -> NumberedStatements:
+    def numbered(self) -> NumberedStatements:
+        """The statements about all rooms, by numbers."""
         return NumberedStatements(self._rooms, self._vocabulary)
 
     def _groups(self, pool: ConditionPool) -> Groups:
@@ -83,75 +74,18 @@ class ConditionSampler:
         return tuple(there if any(weight for _, weight in there) else [(forms, 1.0) for forms, _ in there])
 
     def conditions(
-        self,
-        truths: Sequence[bool],
-        stops: Iterable[ObjectRef],
-        names: Mapping[str, RoomRef],
-        draws: Draws,
-        start_room: str | None = None,
-        bearings: int = 0,
+        self, drawn: Iterable[Sequence[int]], truths: Iterable[bool], names: Sequence[RoomRef]
     ) -> tuple[Condition, ...]:
-        """Draw conditions with the given `truths`, in that order. Together with the `stops` they violate no rule of
-        ``degeneracy``.
+        """Return the conditions that `draw_program` drew.
 
-        Parameters
-        ----------
-        names : the rooms that conditions may be about: their names in the text, by room id
-        start_room : the room in which egocentric conditions are possible; bearings : their largest number
-
-        Raises
-        ------
-        GivenUp
-            For one condition no statement is left.
+        drawn : of each condition, which of the rooms that can be asked about, its pool and its place
+        names : of the rooms of the program
         """
-        rooms, asked_about, sums = self._asked_about(names)
-        if truths and not rooms:
-            raise GivenUp("no_condition")
-        numbered = self._numbered
-        given, wanted = numbered.given(stops), np.array(truths, dtype=bool)
-        start = -1 if start_room is None else numbered.room(start_room)
-
-        def draw(stream: NDArray[np.float64], left: NDArray[np.int64]) -> tuple[bool, list[list[int]], list[int]]:
-            drawn, clashes = np.zeros((len(truths), 3), np.int64), np.zeros(len(RULES), np.int64)
-            found = draw_conditions(
-                wanted,
-                asked_about,
-                sums,
-                start,
-                bearings,
-                self._sampling.attempts,
-                given,
-                numbered.tables,
-                stream,
-                left,
-                clashes,
-                drawn,
-            )
-            return found, drawn.tolist(), clashes.tolist()
-
-        found, drawn, clashes = draws.compiled(draw)
-        for rule, count in zip(RULES, clashes, strict=True):
-            if count:
-                self.clashes[rule] += count
-        if not found:
-            raise GivenUp("no_condition")
+        asked = [name for name in names if name.room_id in self._rooms]
         return tuple(
-            self._condition(names[rooms[room]], pool, truth, place)
+            self._condition(asked[room], pool, truth, place)
             for truth, (room, pool, place) in zip(truths, drawn, strict=True)
         )
-
-    def _asked_about(self, names: Mapping[str, RoomRef]) -> tuple[list[str], I64, F64]:
-        """Return the rooms of `names` that can be asked about, as `draw_conditions` takes them, and their running
-        weights.
-        """
-        key = tuple((name.room_id, name.anchor_id) for name in names.values())
-        if key not in self._known_rooms:
-            rooms = [room for room in names if room in self._rooms]
-            # "If, in the bedroom that has the desk, the lamp …" is hard to follow: plain names are preferred.
-            weights = [PLAIN_ROOM_WEIGHT if names[room].anchor_label is None else 1.0 for room in rooms]
-            sums = np.array(tuple(accumulate(weights)), dtype=np.float64)
-            self._known_rooms[key] = rooms, self._numbered.rooms([names[room] for room in rooms]), sums
-        return self._known_rooms[key]
 
     def is_left_by(self, room_id: str, stop: tuple[str, str]) -> bool:
         """Return whether any condition can be asked about a room in a text with a certain stop: the statements of some
@@ -159,7 +93,7 @@ class ConditionSampler:
 
         stop : (room id, label) of the stop
         """
-        numbered = self._numbered
+        numbered = self.numbered
         given = numbered.presupposed([numbered.room(stop[0]), numbered.label(stop[1])], (), ())
         room, nothing_said = numbered.room(room_id), numbered.claims(())
         return leave_a_question(nothing_said, room, NOTHING, *numbered.pools_of(room), given, numbered.tables)
@@ -180,7 +114,7 @@ class ConditionSampler:
         statements = part.pool.presence if form is None else part.pool.relations.get(form)
         if statements is None:
             return None
-        numbered = self._numbered
+        numbered = self.numbered
         number = next(k for k, pool in enumerate(numbered.pools) if pool is statements)
         first, room = numbered.first(number, truth), numbered.room(old.room.room_id)
         others, room_anchor = numbered.claims(claims), numbered.label(old.room.anchor_label)
@@ -205,7 +139,7 @@ class ConditionSampler:
         """Return the condition that states what is at `place` of a pool (see `NumberedStatements`)."""
         key = (room.anchor_id, place)  # each place belongs to one room
         if key not in self._made:
-            question = self._numbered.pools[pool].question(truth, place - self._numbered.first(pool, truth))
+            question = self.numbered.pools[pool].question(truth, place - self.numbered.first(pool, truth))
             qualifier = None
             if question.predicate is not None:
                 arrays = self._rooms[room.room_id].referents.arrays

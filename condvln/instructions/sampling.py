@@ -8,24 +8,30 @@ reveals its truth. Every draw is seeded by (dataset seed, family, scene, categor
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import accumulate
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from condvln.instructions.borders import NO_BORDER, borders
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
 from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
-from condvln.instructions.predicates import GROUP_OF, sayable
+from condvln.instructions.kernels.conditions import RULES
+from condvln.instructions.kernels.programs import REASONS, DrawnProgram, WantedProgram, draw_program, drawn_program
+from condvln.instructions.name_tables import NumberedNames
+from condvln.instructions.predicates import sayable
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.programs import composition, instruction_id
-from condvln.instructions.referents import ALTERNATIVES, Facts, Referents, object_refs, room_refs
+from condvln.instructions.referents import Facts, Referents, object_refs, room_refs
 from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
-from condvln.instructions.stop_sampler import DrawnStops, StopSampler
+from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Stops, Target, nameable, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
@@ -60,50 +66,6 @@ class _Shape:
     moves: tuple[int, ...]
     bearings: bool
     gold: int
-
-
-class _Names:
-    """The names of one object, and the weights with which they are drawn.
-
-    words : for each name, the labels that a word for an anchor of its qualifier might mean
-    anchors : for each name, the labels of these anchors
-    bearings : for each name, whether it is egocentric
-    """
-
-    def __init__(self, refs: Sequence[ObjectRef], sampling: SamplingConfig, words: Vocabulary) -> None:
-        self.refs, self._sampling = refs, sampling
-        self.anchors = [() if ref.qualifier is None else ref.qualifier.anchor_labels for ref in refs]
-        self.bearings = [ref.is_bearing for ref in refs]
-        self.words = [frozenset[str]().union(*map(words.overlapping, labels)) for labels in self.anchors]
-        self._any_word = frozenset[str]().union(*self.words)
-        self._sums = tuple(accumulate(preferences(refs, sampling)))
-
-    def draw(self, said: Collection[str], draws: Draws) -> int:
-        """Return the index of one of the names, by preference. No name relies on an object with a label that is `said`
-        of another room.
-
-        Raises
-        ------
-        GivenUp
-            There is no such name.
-        """
-        if not self.refs:
-            raise GivenUp("circular")
-        if self._any_word.isdisjoint(said):
-            return draws.cumulative(self._sums)
-        left = [k for k, words in enumerate(self.words) if words.isdisjoint(said)]
-        if not left:
-            raise GivenUp("two_things")
-        return draws.weighted(left, preferences([self.refs[k] for k in left], self._sampling))
-
-
-def preferences(refs: Sequence[ObjectRef], sampling: SamplingConfig) -> list[float]:
-    """Return the weights of `refs`, the names of one object, set by their predicates; a name of weight 0 is used only
-    if the object has no other name.
-    """
-    groups = ["" if ref.qualifier is None else GROUP_OF[ref.qualifier.predicate] for ref in refs]
-    weights = [getattr(sampling.predicates, group, 1.0) / groups.count(group) for group in groups]
-    return weights if any(weights) else [1.0] * len(refs)
 
 
 class ProgramSampler:
@@ -173,7 +135,7 @@ class ProgramSampler:
         )
         self._known_compositions: dict[Category, tuple[tuple[Composition, ...], tuple[float, ...]]] = {}
         self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
-        self._known_names: dict[tuple[str, str | None, str, bool], _Names] = {}
+        self._known_names: dict[int, NumberedNames] = {}
 
     def _condition_sampler(self, bits: PriorBits, *, alone: bool) -> ConditionSampler:
         """Return a sampler of conditions about the rooms that can be named.
@@ -253,16 +215,13 @@ class ProgramSampler:
             golds = golds or draws.sample(range(n_leaves), n_leaves)
             # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
             shape = self._shape(cell, draws, golds.pop(), self.sampling.drawn_move_shares(category))
-            for stops in self._tries(reasons, shape, used, cap, draws):
+            for program in self._tries(reasons, category, shape, used, cap, draws):
                 try:
-                    program = self._draw(category, shape, stops, draws)
                     key = _unseen(program, seen)
                     self._worded(cell, program)
                 except GivenUp as given_up:
                     reasons[given_up.reason] += 1
                     continue
-                finally:
-                    self._count_clashes(reasons)
                 seen.add(key)
                 found, failed = found + 1, 0
                 used.update(leaf.goal.label for leaf in program.leaves)
@@ -270,21 +229,48 @@ class ProgramSampler:
                 break
 
     def _tries(
-        self, rejected: Counter[str], shape: _Shape, used: Counter[str], cap: float, draws: Draws
-    ) -> Iterator[DrawnStops]:
-        """Yield rooms and stops for a candidate, again and again until there were as many draws as a candidate may
-        take. Draws of stops that fail are added to `rejected`.
+        self,
+        rejected: Counter[str],
+        category: Category,
+        shape: _Shape,
+        used: Counter[str],
+        cap: float,
+        draws: Draws,
+    ) -> Iterator[Program]:
+        """Yield programs for a candidate, again and again until there were as many draws as a candidate may take. Draws
+        that fail, and conditions that violate a rule, are added to `rejected`.
         """
-        draw = self.stop_sampler.drawing(shape.composition, shape.moves, used, cap)
         left = self.sampling.draws_per_candidate
+        stops = self.stop_sampler.wanted(shape.composition, shape.moves, used, cap)
+        if isinstance(stops, str):
+            rejected[stops] += left
+            return
+        sampler, truths = self._sampler_of(category), _leading_to(category, shape.gold)
+        names = self._numbered_names(sampler)
+        wanted = WantedProgram(
+            stops, self.sampling.bearings, shape.bearings, np.array(truths, bool), self.sampling.attempts
+        )
+
+        def draw(stream: NDArray[np.float64], unread: NDArray[np.int64]) -> tuple[int, DrawnProgram]:
+            found = drawn_program(len(shape.moves), stops.most, len(truths[0]))
+            numbered, targets = sampler.numbered.tables, self.stop_sampler
+            return draw_program(
+                left, wanted, targets.room_of, targets.tables, names.tables, numbered, stream, unread, found
+            ), found
+
         while left > 0:
-            reasons, stops = draw(left, draws)
-            for reason, count in reasons.items():
-                rejected[reason] += count
-            if stops is None:
+            failed, found = draws.compiled(draw)
+            for reasons, counts in ((REASONS, found.failures), (RULES, found.clashes)):
+                for reason, count in zip(reasons, counts.tolist(), strict=True):
+                    if count:
+                        rejected[reason] += count
+            if failed == left:
                 return
-            left -= sum(reasons.values()) + 1
-            yield stops
+            left -= failed + 1
+            try:
+                yield self._program(category, shape, found, sampler, names, truths[int(found.truths[0])])
+            except GivenUp as given_up:
+                rejected[given_up.reason] += 1
 
     def _worded(self, cell: InstructionCell, program: Program) -> None:
         """Raise GivenUp if the text of `program` has not the number of words that the cell asks for."""
@@ -313,29 +299,18 @@ class ProgramSampler:
             # more of those with long routes. So the shares that are wanted are drawn.
             shares = self.sampling.move_shares(cell.category)
             shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves), shares)
-            for stops in self._tries(reasons, shape, unused, self._most_goals(cell.category), draws):
+            for program in self._tries(reasons, cell.category, shape, unused, self._most_goals(cell.category), draws):
                 try:
-                    program = self._draw(cell.category, shape, stops, draws)
                     _unseen(program, seen)
                     group = self._group(program, draws)
                 except GivenUp as given_up:
                     reasons[given_up.reason] += 1
                     continue
-                finally:
-                    self._count_clashes(reasons)
                 keys = set(map(_key, group))
                 if not seen & keys:
                     seen.update(keys)
                     yield group
                     break
-
-    def _count_clashes(self, rejected: Counter[str]) -> None:
-        """Add the conditions of one draw that clashed with others to `rejected`."""
-        for sampler in (self.condition_sampler, self._alone):
-            if sampler.clashes:
-                for rule, count in sampler.clashes.items():
-                    rejected[rule] += count
-                sampler.clashes.clear()
 
     def _group(self, program: Program, draws: Draws) -> Group:
         group = counterfactual_group(program, self._sampler_of(program.category), draws, self.words)
@@ -378,96 +353,64 @@ class ProgramSampler:
             self._known_compositions[category] = found
         return self._known_compositions[category]
 
-    def _draw(self, category: Category, shape: _Shape, found: DrawnStops, draws: Draws) -> Program:
-        rooms, stops = found.rooms, found.leaves
-        visited = [target for moves in stops for target in moves]
-        names = self._room_names(rooms, visited, draws)
-        near = [room for room in self.condition_sampler.start_rooms if room in names] if shape.bearings else []
-        start_room = draws.choice(near) if near else None
-        leaves, bearings = self._leaves(stops, names, draws, start_room)
-        truths = draws.choice(_leading_to(category, shape.gold))
-        moves = [move for leaf in leaves for move in leaf]
-        conditions = self._sampler_of(category).conditions(truths, moves, names, draws, start_room, bearings)
-        goals = [leaf[-1].object_id for leaf in leaves]
+    def _program(
+        self,
+        category: Category,
+        shape: _Shape,
+        found: DrawnProgram,
+        sampler: ConditionSampler,
+        known: NumberedNames,
+        truths: Sequence[bool],
+    ) -> Program:
+        """Return the program that was drawn; raise GivenUp if it has not the composition of the shape."""
+        rooms = found.rooms[1 : 1 + found.rooms[0]].tolist()
+        names = [
+            self._names[self.stop_sampler.rooms[room]][k]
+            for room, k in zip(rooms, found.room_names.tolist()[: len(rooms)], strict=True)
+        ]
+        leaves = tuple(
+            Leaf(moves=tuple([known.refs[k] for k in refs[:count]]))
+            for refs, count in zip(found.names.tolist(), shape.moves, strict=True)
+        )
+        goals = [leaf.goal.object_id for leaf in leaves]
         if len(set(goals)) < len(goals) and idle_conditions(category, goals):
             raise GivenUp("idle_condition")
         program = Program(
             category=category,
-            conditions=conditions,
+            conditions=sampler.conditions(found.conditions.tolist(), truths, names),
             branches=SHAPES[category].branches,
-            leaves=tuple(Leaf(moves=tuple(leaf)) for leaf in leaves),
+            leaves=leaves,
         )
         if composition(program) != shape.composition:
             raise GivenUp("composition_missed")
         return program
 
-    def _leaves(
-        self, stops: Sequence[Sequence[Target]], names: Mapping[str, RoomRef], draws: Draws, start_room: str | None
-    ) -> tuple[list[list[ObjectRef]], int]:
-        """Return the names of the stops of each leaf, and the number of egocentric statements left for conditions. An
-        object has the same name in all leaves.
-        """
-        # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
-        bearings = self.sampling.bearings
-        said = {(target.room_id, target.label) for moves in stops for target in moves}
-        said |= {(room_id, name.anchor_label) for room_id, name in names.items() if name.anchor_label is not None}
-        one_room = len(names) == 1
-        elsewhere: Collection[str] = ()
-        named: dict[str, tuple[ObjectRef, bool]] = {}
-        leaves: list[list[ObjectRef]] = []
-        for moves in stops:
-            refs: list[ObjectRef] = []
-            for target in moves:
-                ref, is_bearing = named.get(target.object_id, (None, False))
-                if ref is None or (is_bearing and bearings < 2):
-                    here = target.room_id == start_room and bearings > 1
-                    known = self._names_of(target, names[target.room_id], start=here)
-                    if not one_room:
-                        elsewhere = {label for room_id, label in said if room_id != target.room_id}
-                    k = known.draw(elsewhere, draws)
-                    ref, is_bearing = named[target.object_id] = known.refs[k], known.bearings[k]
-                    if not one_room:
-                        said.update([(target.room_id, label) for label in known.anchors[k]])
-                refs.append(ref)
-                bearings -= is_bearing
-            leaves.append(refs)
-        return leaves, bearings
-
     def _is_plain(self, room_id: str) -> bool:
         """Return whether a room's label alone names it."""
         return self._names[room_id][0].anchor_label is None
 
-    def _room_names(self, rooms: Sequence[str], visited: Sequence[Target], draws: Draws) -> dict[str, RoomRef]:
-        """Return a name of each room. No name relies on an object with the label of a stop, or with a label in another
-        room's name.
-        """
-        said = {target.label for target in visited}
-        names: dict[str, RoomRef] = {}
-        for room_id in rooms:
-            free = [
-                name
-                for name in self._names[room_id]
-                if name.anchor_label is None or not said & self.words.overlapping(name.anchor_label)
-            ]
-            if not free:
-                raise GivenUp("circular")
-            name = names[room_id] = draws.choice(free[:ALTERNATIVES])
-            said |= {name.anchor_label} if name.anchor_label is not None else set()
-        return names
+    def _numbered_names(self, sampler: ConditionSampler) -> NumberedNames:
+        """Return the names of rooms and targets by numbers, with the labels numbered as in a sampler's statements."""
+        known = self._known_names.get(id(sampler))
+        if known is None:
+            known = self._known_names[id(sampler)] = NumberedNames(
+                {room_id: self._names[room_id] for room_id in self.stop_sampler.rooms},
+                self.stop_sampler.targets,
+                self._names_of,
+                sampler.numbered,
+                self.sampling,
+                sampler.rooms,
+                self.condition_sampler.start_rooms,
+            )
+        return known
 
-    def _names_of(self, target: Target, room: RoomRef, *, start: bool) -> _Names:
-        """Return the names of a target. An egocentric name is possible only if `start` is true: the start is in the
-        target's room.
-        """
-        key = (room.room_id, room.anchor_id, target.object_id, start)
-        names = self._known_names.get(key)
-        if names is None:
-            if key[:3] not in self._refs:
-                refs = object_refs(self.referents[target.room_id], target.index, room)
-                self._refs[key[:3]] = tuple(ref for ref in refs if not is_circular(ref, self.words))
-            refs = tuple(ref for ref in self._refs[key[:3]] if start or not ref.is_bearing)
-            names = self._known_names[key] = _Names(refs, self.sampling, self.words)
-        return names
+    def _names_of(self, target: Target, room: RoomRef) -> tuple[ObjectRef, ...]:
+        """Return the names of a target in a room with a certain name."""
+        key = (room.room_id, room.anchor_id, target.object_id)
+        if key not in self._refs:
+            refs = object_refs(self.referents[target.room_id], target.index, room)
+            self._refs[key] = tuple(ref for ref in refs if not is_circular(ref, self.words))
+        return self._refs[key]
 
 
 @cache

@@ -14,7 +14,7 @@ from condvln.instructions.degeneracy import Claim
 from condvln.instructions.kernels.conditions import NOTHING, Given, StatementTables
 from condvln.instructions.referents import Referents
 from condvln.labels import Vocabulary
-from schemas.program import BEARINGS, ObjectRef, RoomRef
+from schemas.program import BEARINGS, ObjectRef
 
 __all__ = ["AskedRoom", "Groups", "NumberedStatements", "Statements"]
 
@@ -114,14 +114,15 @@ class NumberedStatements:
         if label is None:
             return NOTHING
         if label not in self._labels:
-            self._labels[label] = len(self._labels)
-            self.tables = self.tables._replace(overlap=self._overlap())
+            self.add_labels([label])
         return self._labels[label]
 
-    def rooms(self, names: Sequence[RoomRef]) -> I64:
-        """Return rooms as `draw_conditions` takes them, (r, 2)."""
-        found = [(self.room(name.room_id), self.label(name.anchor_label)) for name in names]
-        return np.array(found, np.int64).reshape(-1, 2)
+    def add_labels(self, labels: Iterable[str]) -> None:
+        """Give numbers to labels that have none."""
+        known = len(self._labels)
+        self._numbers(labels)
+        if len(self._labels) > known:
+            self.tables = self.tables._replace(overlap=self._overlap())
 
     def given(self, stops: Iterable[ObjectRef]) -> Given:
         """Return what the phrases of all `stops` together presuppose (see ``degeneracy.Presupposed``)."""
@@ -181,7 +182,7 @@ class NumberedStatements:
         anchors[:, : truths.anchors.shape[1]] = own[truths.anchors][cells[:, 1]]
         return sums, self._numbers(truths.labels)[cells[:, 0]], anchors
 
-    def _numbers(self, labels: Sequence[str]) -> I64:
+    def _numbers(self, labels: Iterable[str]) -> I64:
         known = self._labels
         return np.array([known.setdefault(label, len(known)) for label in labels], np.int64)
 

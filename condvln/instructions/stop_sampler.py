@@ -1,9 +1,8 @@
-"""Draw the rooms and the stops of a program: which objects its leaves lead to, and by which other objects."""
+"""The rooms and the stops from which programs are drawn: which objects leaves lead to, and by which other objects."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, partial
 from itertools import accumulate
 from typing import Final
@@ -11,13 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.kernels.stops import FAILURES, MOST_MOVES, ByLabel, Questions, TargetTables, draw_stops, fits
-from condvln.instructions.stops import Target, Targets
-from condvln.seeding import Draws
+from condvln.instructions.kernels.stops import ByLabel, Questions, TargetTables, WantedStops, fits
+from condvln.instructions.stops import Targets
 from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
 
-__all__ = ["DrawnStops", "StopSampler"]
+__all__ = ["StopSampler"]
 
 I64 = NDArray[np.int64]
 
@@ -28,16 +26,8 @@ ANSWERS_KEPT: Final = 2**15
 """Number of answers kept to the question whether targets fit; a power of two. A scene asks some thousands."""
 
 
-@dataclass(frozen=True, slots=True)
-class DrawnStops:
-    """The rooms of a program, and the stops of each leaf, the last of which is its goal."""
-
-    rooms: tuple[str, ...]
-    leaves: tuple[tuple[Target, ...], ...]
-
-
 class StopSampler:
-    """Draws rooms and stops of programs of one scene.
+    """The rooms and stops of programs of one scene, as `draw_program` draws them.
 
     The rooms of a program have different types: a listener would confuse "the bedroom with the desk" and "the bedroom
     with the plant", and a text with only one bedroom needs no distinguishing object. Rooms that are named by their
@@ -53,6 +43,8 @@ class StopSampler:
 
     Attributes
     ----------
+    tables, room_of : the targets as arrays, and the room of each
+    rooms : ids of the rooms, targets : the targets, by their numbers there
     labels : labels of the targets
     kinds : number of types of rooms
     """
@@ -65,19 +57,19 @@ class StopSampler:
         asked: Sequence[str],
         is_left_by: Callable[[str, tuple[str, str]], bool],
     ) -> None:
-        self._targets, self._asked, self._room_ids = found.targets, tuple(asked), tuple(types)
+        self.targets, self.rooms = found.targets, tuple(types)
         numbers = {room: k for k, room in enumerate(types)}
         kinds = {kind: k for k, kind in enumerate(dict.fromkeys(types.values()))}
         weights = {target.label: target.weight for target in found.targets}
         self.labels, self.kinds = tuple(weights), len(kinds)
         self._label_numbers = {label: k for k, label in enumerate(weights)}
         label = np.array([self._label_numbers[target.label] for target in found.targets], np.int64)
-        self._room_of = np.array([numbers[target.room_id] for target in found.targets], np.int64)
+        self.room_of = np.array([numbers[target.room_id] for target in found.targets], np.int64)
         self._plain = np.array([room in plain for room in types], bool)
         ends = np.cumsum(np.bincount(label, minlength=len(weights)), dtype=np.int64)
         type_of = np.array([kinds[kind] for kind in types.values()], np.int64)
         asked_numbers = np.array([numbers[room] for room in asked], np.int64)
-        self._tables = TargetTables(
+        self.tables = TargetTables(
             questions=Questions(
                 apart=np.ascontiguousarray(found.apart),
                 label=label,
@@ -93,7 +85,7 @@ class StopSampler:
             alike=np.ascontiguousarray(found.alike),
             order=np.arange(len(weights), dtype=np.int64),
             weights=np.array(tuple(weights.values()), np.float64),
-            held=self._room_of[None] == np.arange(len(types))[:, None],
+            held=self.room_of[None] == np.arange(len(types))[:, None],
             spoiling=self._spoiling(types, asked, is_left_by),
             asked=asked_numbers,
             asked_sums=self._preferences(asked_numbers),
@@ -112,25 +104,22 @@ class StopSampler:
         rows = []
         for room_id in types:
             leaves = cache(partial(is_left_by, room_id))
-            rows.append(
-                [room_id not in asked or not leaves((target.room_id, target.label)) for target in self._targets]
-            )
-        return np.array(rows, bool).reshape(len(rows), len(self._targets))
+            rows.append([room_id not in asked or not leaves((target.room_id, target.label)) for target in self.targets])
+        return np.array(rows, bool).reshape(len(rows), len(self.targets))
 
     def fits(self, leaves: int) -> bool:
         """Return whether the scene has targets for so many leaves."""
-        everything = np.ones(len(self._targets), bool)
-        return fits(everything, everything, leaves, 0, self._tables.questions)
+        everything = np.ones(len(self.targets), bool)
+        return fits(everything, everything, leaves, 0, self.tables.questions)
 
     def roomy(self, leaves: int) -> bool:
         """Return whether a room about which conditions can be asked has targets for so many leaves."""
         return len(self._roomy(leaves, 0)[0]) > 0
 
-    def drawing(
+    def wanted(
         self, composition: Composition | None, moves: Sequence[int], used: Mapping[str, int], cap: float
-    ) -> Callable[[int, Draws], tuple[dict[str, int], DrawnStops | None]]:
-        """Return a function that draws until the stops fit. It takes the largest number of tries, and returns how many
-        tries failed for each reason, and the stops; None if all tries failed.
+    ) -> WantedStops | str:
+        """Return what is drawn for a program, or the reason why every draw of it fails.
 
         Parameters
         ----------
@@ -139,56 +128,21 @@ class StopSampler:
         used : how often each label is a goal so far
         cap : a label is a goal at most so often
         """
-        n, waypoints = len(moves), max(moves) - 1
+        n = len(moves)
         if composition is None or self.kinds < _ROOMS_OF[composition][0]:
-            return lambda tries, _: ({"no_targets": tries}, None)
+            return "no_targets"
         least, most = _ROOMS_OF[composition]
-        roomy, roomy_sums = self._roomy(n, waypoints)
+        roomy, sums = self._roomy(n, max(moves) - 1)
         if composition == "C0" and not len(roomy):
-            reason = "no_waypoint" if self.roomy(n) else "no_targets"
-            return lambda tries, _: ({reason: tries}, None)
-        counts = np.array(moves, np.int64)
+            return "no_waypoint" if self.roomy(n) else "no_targets"
         of_label = np.array([used.get(label, 0) for label in self.labels], np.int64)
-
-        def draw(tries: int, draws: Draws) -> tuple[dict[str, int], DrawnStops | None]:
-            def compiled(stream: NDArray[np.float64], left: I64) -> tuple[int, list[int], list[int], list[list[int]]]:
-                failures, rooms = np.zeros(len(FAILURES), np.int64), np.zeros(1 + most, np.int64)
-                stops = np.zeros((n, MOST_MOVES), np.int64)
-                failed = draw_stops(
-                    tries,
-                    counts,
-                    least,
-                    most,
-                    roomy,
-                    roomy_sums,
-                    of_label,
-                    cap,
-                    self._room_of,
-                    self._tables,
-                    stream,
-                    left,
-                    failures,
-                    rooms,
-                    stops,
-                )
-                return failed, failures.tolist(), rooms.tolist(), stops.tolist()
-
-            failed, failures, rooms, stops = draws.compiled(compiled)
-            reasons = {name: k for name, k in zip(FAILURES, failures, strict=True) if k} if failed else {}
-            if failed == tries:
-                return reasons, None
-            leaves = tuple(
-                [tuple([self._targets[k] for k in found[:count]]) for found, count in zip(stops, moves, strict=True)]
-            )
-            return reasons, DrawnStops(tuple([self._room_ids[k] for k in rooms[1 : 1 + rooms[0]]]), leaves)
-
-        return draw
+        return WantedStops(np.array(moves, np.int64), least, most, roomy, sums, of_label, cap)
 
     def _roomy(self, leaves: int, waypoints: int) -> tuple[I64, NDArray[np.float64]]:
         """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for
         `waypoints` more, with running weights.
         """
-        key, tables, questions = (leaves, waypoints), self._tables, self._tables.questions
+        key, tables, questions = (leaves, waypoints), self.tables, self.tables.questions
         if key not in self._known_roomy:
             chosen = [
                 room

@@ -119,6 +119,7 @@ TECHNICAL = {
         "TWO_THINGS",
         "UNKNOWN",
     },
+    "instructions/kernels/programs.py": {"FITS", "MOST_ANCHORS", "NO_CONDITION", "TWO_THINGS"},
     "instructions/kernels/stops.py": {
         "LABEL_OVER_CAP",
         "MOST_MOVES",

@@ -211,7 +211,7 @@ def _statements(room: int, start: int, tables: StatementTables, stream: Doubles,
     return int(tables.pool_of_form[form])
 
 
-@compiled
+@inlined
 def draw_conditions(
     truths: Bools,
     rooms: Longs,
@@ -333,9 +333,6 @@ def _warm_up() -> None:
         pool_of_form=place,
     )
     given = Given(none, none, np.zeros((0, 3), np.int64))
-    rooms, left = np.array([[0, NOTHING]]), np.array([8, 0])
-    drawn, clashes = np.zeros((1, 3), np.int64), np.zeros(len(RULES), np.int64)
-    draw_conditions(np.ones(1, bool), rooms, one, 0, 0, 1, given, tables, np.zeros(8), left, clashes, drawn)
     rules_of_places(np.zeros((0, PRESENCE + 1), np.int64), 0, NOTHING, 0, 1, given, tables)
     leave_a_question(np.zeros((0, PRESENCE + 1), np.int64), 0, NOTHING, 0, 1, given, tables)
 

@@ -7,10 +7,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, constant, inlined, register_warm_up
+from condvln.compiled import compiled, constant, inlined
 from condvln.instructions.kernels.stream import cumulative, index
 
-__all__ = ["FAILURES", "MOST_MOVES", "ByLabel", "Questions", "TargetTables", "draw_stops", "fits"]
+__all__ = ["FAILURES", "MOST_MOVES", "ByLabel", "Questions", "TargetTables", "WantedStops", "draw_stops", "fits"]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
@@ -95,6 +95,24 @@ class TargetTables(NamedTuple):
     by_type: Longs
     type_of: Longs
     plain: Bools
+
+
+class WantedStops(NamedTuple):
+    """What is wanted of the stops of a program of n leaves.
+
+    moves (n,) : number of moves of each leaf
+    least, most : numbers of rooms; if `most` is 1, the room is one of `roomy` (k,), with running weights `roomy_sums`
+    used (l,) : how often a label is a goal so far; a label is drawn more often the less it was used
+    cap : a label is a goal at most so often
+    """
+
+    moves: Longs
+    least: int
+    most: int
+    roomy: Longs
+    roomy_sums: Doubles
+    used: Longs
+    cap: float
 
 
 @compiled
@@ -475,16 +493,10 @@ def _leave_to_ask(rooms: Longs, spoiling: Bools, held: Bools) -> None:
         held[target] &= not spoils
 
 
-@compiled
+@inlined
 def draw_stops(
     tries: int,
-    counts: Longs,
-    least: int,
-    most: int,
-    roomy: Longs,
-    roomy_sums: Doubles,
-    used: Longs,
-    cap: float,
+    wanted: WantedStops,
     room_of: Longs,
     tables: TargetTables,
     stream: Doubles,
@@ -498,14 +510,12 @@ def draw_stops(
 
     Parameters
     ----------
-    counts : (n,), number of moves of each leaf
-    least, most : numbers of rooms; if `most` is 1, the room is one of `roomy`, with these running weights
-    used : (l,), how often a label is a goal so far; a label is drawn more often the less it was used
-    cap : a label is a goal at most so often
-    failures : (4,), to which the failed tries are added by their reason
+    failures : (f,), to which the failed tries are added by their reason
     rooms : (1 + `most`,), set to the number of rooms and the rooms
     stops : (n, 3), set to the targets
     """
+    counts, least, most, used, cap = wanted.moves, wanted.least, wanted.most, wanted.used, wanted.cap
+    roomy, roomy_sums = wanted.roomy, wanted.roomy_sums
     n, waypoints = len(counts), counts.max() - 1
     questions, by_label, order, preferred = tables.questions, tables.by_label, tables.order, tables.weights
     spans, members, held_by, spoiling = by_label.spans, by_label.members, tables.held, tables.spoiling
@@ -541,20 +551,3 @@ def draw_stops(
             return attempt
         failures[failed] += 1
     return tries
-
-
-def _warm_up() -> None:
-    one, numbers, mask = np.ones(1), np.zeros(1, np.int64), np.ones((1, 1), bool)
-    span = np.array([[0, 1]])
-    digests = np.zeros((1, 4), np.int64), np.zeros((1, 2), np.int64), np.zeros(1, bool)
-    places = (numbers, one, numbers, numbers, mask[0])
-    questions, by_label = Questions(mask, numbers, *digests), ByLabel(mask[0], numbers, span)
-    tables = TargetTables(questions, by_label, mask, numbers, one, mask, mask, *places)
-    fits(mask[0], mask[0], 1, 0, questions)
-    counts, stops = np.ones(2, np.int64), np.zeros((2, MOST_MOVES), np.int64)
-    left, failures, rooms = np.array([8, 0]), np.zeros(len(FAILURES), np.int64), np.zeros(3, np.int64)
-    stream = np.zeros(8)
-    draw_stops(1, counts, 2, 2, numbers, one, numbers, 1.0, numbers, tables, stream, left, failures, rooms, stops)
-
-
-register_warm_up("stops of programs", _warm_up)

@@ -93,7 +93,7 @@ def test_targets_fit_if_some_choice_of_them_does(t: int, n: int, waypoints: int,
         for goals in chosen(n, np.flatnonzero(allowed).tolist())
     )
     for _ in range(2):  # the second answer was kept
-        assert fits(allowed, free, n, waypoints, sampler._tables.questions) == expected
+        assert fits(allowed, free, n, waypoints, sampler.tables.questions) == expected
 
 
 @pytest.mark.parametrize("read", [0, 5, BLOCK])

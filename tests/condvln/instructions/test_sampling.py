@@ -17,11 +17,11 @@ from scipy.stats import binomtest, chisquare
 from condvln.instructions import LabelPriors, ProgramSampler
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool, RelationPool
+from condvln.instructions.name_tables import preferences
 from condvln.instructions.predicates import PREDICATE_GROUPS, PREDICATES
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.rejection import REASONS
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
-from condvln.instructions.sampling import preferences
 from condvln.instructions.stops import Stops
 from condvln.labels import vocabulary
 from condvln.scene import Scene
@@ -432,10 +432,10 @@ def test_stops_that_leave_nothing_to_ask_are_known(make_scene, facts_maker) -> N
         sampler = made_sampler(scene, facts_maker(scene), bits)
         rooms = sorted(sampler._names)
         for room_id in sampler.condition_sampler.rooms:
-            spoiling = sampler.stop_sampler._tables.spoiling[rooms.index(room_id)]
+            spoiling = sampler.stop_sampler.tables.spoiling[rooms.index(room_id)]
             pool = sampler.condition_sampler._rooms[room_id].pool
             kinds = [*pool.relations.values(), *([pool.presence] if pool.presence else [])]
-            targets = sampler.stop_sampler._targets
+            targets = sampler.stop_sampler.targets
             for k, target in ((k, target) for k, target in enumerate(targets) if target.room_id == room_id):
                 meant = vocabulary.overlapping(target.label)
                 about_it = [

@@ -1,0 +1,427 @@
+"""Draw whole programs: rooms and stops, their names, and conditions. Rooms, targets, labels and names are numbers."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from condvln.compiled import compiled, inlined, register_warm_up
+from condvln.instructions.kernels.conditions import NOTHING, RULES, Given, StatementTables, draw_conditions
+from condvln.instructions.kernels.stops import (
+    FAILURES,
+    MOST_MOVES,
+    ByLabel,
+    Questions,
+    TargetTables,
+    WantedStops,
+    draw_stops,
+    fits,
+)
+from condvln.instructions.kernels.stream import cumulative, index
+from condvln.instructions.referents import ALTERNATIVES
+from schemas.config.constants import PLAIN_ROOM_WEIGHT
+
+__all__ = ["REASONS", "DrawnProgram", "NameTables", "WantedProgram", "draw_program", "drawn_program"]
+
+Doubles = npt.NDArray[np.float64]
+Longs = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+REASONS: Final = (*FAILURES, "circular", "two_things", "no_condition")
+"""Why a draw failed, by number."""
+
+FITS: Final = -1
+"""In place of a reason: the draw did not fail."""
+
+CIRCULAR: Final = len(FAILURES)
+TWO_THINGS: Final = CIRCULAR + 1
+NO_CONDITION: Final = CIRCULAR + 2
+
+MOST_ANCHORS: Final = 2
+"""Most anchors of a name."""
+
+
+class NameTables(NamedTuple):
+    """The names of r rooms and t targets. Rooms and targets are numbered as in `TargetTables`; labels, and rooms in
+    `statement_room`, as in `StatementTables`.
+
+    room_first (r + 1,) : first name of each room; room_anchor (n,) : label in each room name, or NOTHING
+    key_first (t,) : the names of target t, in a room with name number k, are those of key ``2 * (key_first[t] + k)``;
+        of the next key if egocentric names are possible
+    first (k + 1,) : first name of each key
+    sums, weight (m,) : running weights of a key's names; weight of each name's group of predicates
+    group (m,) : each name's group of predicates
+    anchors (m, 2) : labels of each name's anchors, or NOTHING
+    bearing (m,) : the name is egocentric
+    label (t,) : label of each target
+    statement_room (r,) : each room's number in the statements
+    asked (r,), start (r,) : conditions can be asked about the room; egocentric ones, if the start is there
+    """
+
+    room_first: Longs
+    room_anchor: Longs
+    key_first: Longs
+    first: Longs
+    sums: Doubles
+    weight: Doubles
+    group: Longs
+    anchors: Longs
+    bearing: Bools
+    label: Longs
+    statement_room: Longs
+    asked: Bools
+    start: Bools
+
+
+class WantedProgram(NamedTuple):
+    """What is wanted of a program.
+
+    bearings : most egocentric statements
+    egocentric : whether egocentric statements are possible
+    truths (a, c) : the truths of conditions that lead to the gold leaf, one row of which is drawn
+    attempts : most draws of a pool of statements, and most draws of a statement from it
+    """
+
+    stops: WantedStops
+    bearings: int
+    egocentric: bool
+    truths: Bools
+    attempts: int
+
+
+class DrawnProgram(NamedTuple):
+    """What `draw_program` writes to.
+
+    failures (7,), clashes (7,) : to which the failed draws are added by their reason, and the violations of each rule
+    rooms (1 + most,) : number of rooms, and the rooms; room_names (most,) : which of its names each room has
+    stops (n, 3) : targets; names (n, 3) : their names
+    truths (1,) : row of the truths; conditions (c, 3) : which of the rooms asked about, the pool and the place of each
+    """
+
+    failures: Longs
+    clashes: Longs
+    rooms: Longs
+    room_names: Longs
+    stops: Longs
+    names: Longs
+    truths: Longs
+    conditions: Longs
+
+
+def drawn_program(leaves: int, most: int, conditions: int) -> DrawnProgram:
+    """Return what a program with a number of leaves, at most so many rooms and a number of conditions is written to."""
+    return DrawnProgram(
+        failures=np.zeros(len(REASONS), np.int64),
+        clashes=np.zeros(len(RULES), np.int64),
+        rooms=np.zeros(1 + most, np.int64),
+        room_names=np.zeros(most, np.int64),
+        stops=np.zeros((leaves, MOST_MOVES), np.int64),
+        names=np.zeros((leaves, MOST_MOVES), np.int64),
+        truths=np.zeros(1, np.int64),
+        conditions=np.zeros((conditions, 3), np.int64),
+    )
+
+
+class _Said(NamedTuple):
+    """Labels that a text has said, and their rooms, both (s,), and how many there are, (1,)."""
+
+    rooms: Longs
+    labels: Longs
+    size: Longs
+
+
+@compiled
+def _say(room: int, label: int, said: _Said) -> None:
+    said.rooms[said.size[0]], said.labels[said.size[0]] = room, label
+    said.size[0] += 1
+
+
+@inlined
+def _name_rooms(
+    rooms: Longs, names: NameTables, overlap: Bools, said: _Said, stream: Doubles, left: Longs, found: Longs
+) -> int:
+    """Write the number of a name of each room to `found`. No name relies on an object with the label of a stop, or with
+    a label in another room's name. Return the number of a reason, or FITS.
+    """
+    for k in range(len(rooms)):
+        room, count = rooms[k], 0
+        free = np.empty(ALTERNATIVES, np.int64)
+        for name in range(names.room_first[room], names.room_first[room + 1]):
+            anchor, clear = names.room_anchor[name], True
+            if anchor >= 0:
+                for s in range(said.size[0]):
+                    clear &= not overlap[anchor, said.labels[s]]
+            if clear and count < ALTERNATIVES:
+                free[count] = name
+                count += 1
+        if count == 0:
+            return CIRCULAR
+        name = free[index(count, stream, left)]
+        found[k] = name - names.room_first[room]
+        if names.room_anchor[name] >= 0:
+            _say(room, names.room_anchor[name], said)
+    return FITS
+
+
+@inlined
+def _is_said_elsewhere(name: int, room: int, names: NameTables, overlap: Bools, said: _Said) -> bool:
+    """Return whether a word for an anchor of a name might mean something that the text names in another room."""
+    found = False
+    for column in range(MOST_ANCHORS):
+        anchor = names.anchors[name, column]
+        if anchor >= 0:
+            for s in range(said.size[0]):
+                found |= said.rooms[s] != room and overlap[anchor, said.labels[s]]
+    return found
+
+
+@inlined
+def _draw_name(
+    key: int, room: int, alone: bool, names: NameTables, overlap: Bools, said: _Said, stream: Doubles, left: Longs
+) -> int:
+    """Return one of a key's names, by its weight, or, if there is none, −1 − the number of a reason. No name relies on
+    an object with a label that was said of another room, unless the text names one room alone.
+    """
+    begin, end = names.first[key], names.first[key + 1]
+    if begin == end:
+        return -1 - CIRCULAR
+    kept, count = np.empty(end - begin, np.int64), 0
+    for name in range(begin, end):
+        if alone or not _is_said_elsewhere(name, room, names, overlap, said):
+            kept[count] = name
+            count += 1
+    if count == 0:
+        return -1 - TWO_THINGS
+    if count == end - begin:
+        return int(cumulative(names.sums, begin, end, stream, left))
+    sums, total = np.empty(count), 0.0
+    for k in range(count):
+        alike = 0
+        for other in range(count):
+            alike += names.group[kept[other]] == names.group[kept[k]]
+        total += names.weight[kept[k]] / alike
+        sums[k] = total
+    if total == 0.0:  # names of weight 0 are used only if there are no others
+        for k in range(count):
+            sums[k] = k + 1.0
+    return int(kept[cumulative(sums, 0, count, stream, left)])
+
+
+@inlined
+def _name_stops(
+    wanted: WantedProgram,
+    rooms: Longs,
+    start_room: int,
+    room_of: Longs,
+    names: NameTables,
+    overlap: Bools,
+    said: _Said,
+    stream: Doubles,
+    left: Longs,
+    found: DrawnProgram,
+) -> int:
+    """Write the names of the stops of all leaves. An object has the same name in all leaves. Return the number of
+    egocentric statements left for conditions, or, if there are no such names, −1 − the number of a reason.
+    """
+    # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
+    bearings, alone, moves = wanted.bearings, len(rooms) == 1, wanted.stops.moves
+    for leaf in range(len(moves)):
+        for move in range(moves[leaf]):
+            target, name = found.stops[leaf, move], NOTHING
+            for other in range(leaf + 1):
+                for k in range(move if other == leaf else moves[other]):
+                    if found.stops[other, k] == target:
+                        name = found.names[other, k]
+            if name == NOTHING or (names.bearing[name] and bearings < 2):
+                room, key = room_of[target], names.key_first[target]
+                for k in range(len(rooms)):
+                    if rooms[k] == room:
+                        key += found.room_names[k]
+                here = int(room == start_room and bearings > 1)
+                name = _draw_name(2 * key + here, room, alone, names, overlap, said, stream, left)
+                if name < 0:
+                    return name
+                for column in range(MOST_ANCHORS):
+                    if names.anchors[name, column] >= 0:
+                        _say(room, names.anchors[name, column], said)
+            found.names[leaf, move] = name
+            bearings -= int(names.bearing[name])
+    return bearings
+
+
+@inlined
+def _presupposed(moves: Longs, rooms: Longs, room_of: Longs, names: NameTables, found: DrawnProgram) -> Given:
+    """Return what the phrases of all stops together presuppose."""
+    most = len(moves) * MOST_MOVES
+    stops = np.empty((most, 2), np.int64)
+    things = np.empty((most * (2 + MOST_ANCHORS), 2), np.int64)
+    pairs = np.empty((most * MOST_ANCHORS, 3), np.int64)
+    count = besides = related = 0
+    for leaf in range(len(moves)):
+        for move in range(moves[leaf]):
+            target, name = found.stops[leaf, move], found.names[leaf, move]
+            room, label = names.statement_room[room_of[target]], names.label[target]
+            stops[count, 0], stops[count, 1] = room, label
+            things[besides, 0], things[besides, 1] = room, label
+            count, besides = count + 1, besides + 1
+            for column in range(MOST_ANCHORS):
+                anchor = names.anchors[name, column]
+                if anchor >= 0:
+                    things[besides, 0], things[besides, 1] = room, anchor
+                    pairs[related, 0], pairs[related, 1], pairs[related, 2] = room, label, anchor
+                    besides, related = besides + 1, related + 1
+            for k in range(len(rooms)):
+                anchor = names.room_anchor[names.room_first[rooms[k]] + found.room_names[k]]
+                if rooms[k] == room_of[target] and anchor >= 0:
+                    things[besides, 0], things[besides, 1] = room, anchor
+                    besides += 1
+    return Given(stops[:count], things[:besides], pairs[:related])
+
+
+@inlined
+def _finish(
+    wanted: WantedProgram,
+    room_of: Longs,
+    names: NameTables,
+    statements: StatementTables,
+    stream: Doubles,
+    left: Longs,
+    found: DrawnProgram,
+) -> int:
+    """Draw names and conditions for rooms and stops. Return the number of a reason, or FITS."""
+    rooms, moves, overlap = found.rooms[1 : 1 + found.rooms[0]], wanted.stops.moves, statements.overlap
+    most = len(rooms) + (1 + MOST_ANCHORS) * MOST_MOVES * len(moves)
+    said = _Said(np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(1, np.int64))
+    for leaf in range(len(moves)):
+        for move in range(moves[leaf]):
+            target = found.stops[leaf, move]
+            _say(room_of[target], names.label[target], said)
+    reason = _name_rooms(rooms, names, overlap, said, stream, left, found.room_names)
+    if reason != FITS:
+        return reason
+    start_room, count = NOTHING, 0
+    if wanted.egocentric:
+        for room in rooms:
+            count += names.start[room]
+        if count > 0:
+            # In the order of their numbers, whatever the order of the drawn rooms.
+            place = index(count, stream, left)
+            for room in range(len(names.start)):
+                drawn = False
+                for k in range(len(rooms)):
+                    drawn |= rooms[k] == room
+                if drawn and names.start[room]:
+                    if place == 0:
+                        start_room = room
+                    place -= 1
+    bearings = _name_stops(wanted, rooms, start_room, room_of, names, overlap, said, stream, left, found)
+    if bearings < 0:
+        return -1 - bearings
+    found.truths[0] = index(len(wanted.truths), stream, left)
+    asked, sums = np.empty((len(rooms), 2), np.int64), np.empty(len(rooms))
+    count, total = 0, 0.0
+    for k in range(len(rooms)):
+        if names.asked[rooms[k]]:
+            anchor = names.room_anchor[names.room_first[rooms[k]] + found.room_names[k]]
+            asked[count, 0], asked[count, 1] = names.statement_room[rooms[k]], anchor
+            # "If, in the bedroom that has the desk, the lamp …" is hard to follow: plain names are preferred.
+            total += PLAIN_ROOM_WEIGHT if anchor < 0 else 1.0
+            sums[count] = total
+            count += 1
+    given = _presupposed(moves, rooms, room_of, names, found)
+    start = NOTHING if start_room == NOTHING else names.statement_room[start_room]
+    if count == 0 or not draw_conditions(
+        wanted.truths[found.truths[0]], asked[:count], sums[:count], start, bearings, wanted.attempts, given,
+        statements, stream, left, found.clashes, found.conditions,
+    ):  # fmt: skip
+        return NO_CONDITION
+    return FITS
+
+
+@compiled
+def draw_program(
+    tries: int,
+    wanted: WantedProgram,
+    room_of: Longs,
+    targets: TargetTables,
+    names: NameTables,
+    statements: StatementTables,
+    stream: Doubles,
+    left: Longs,
+    found: DrawnProgram,
+) -> int:
+    """Draw a program until it fits, at most `tries` times. Return the number of tries that failed.
+
+    room_of : (t,), the room of each target
+    """
+    failed = 0
+    while failed < tries and not left[1]:
+        failed += draw_stops(
+            tries - failed, wanted.stops, room_of, targets, stream, left, found.failures, found.rooms, found.stops
+        )  # fmt: skip
+        if failed < tries:
+            reason = _finish(wanted, room_of, names, statements, stream, left, found)
+            if reason == FITS:
+                return failed
+            found.failures[reason] += 1
+            failed += 1
+    return tries
+
+
+def _warm_up() -> None:
+    one, numbers, mask = np.ones(1), np.zeros(1, np.int64), np.ones((1, 1), bool)
+    span, none = np.array([[0, 1]]), np.zeros((0, 2), np.int64)
+    digests = np.zeros((1, 4), np.int64), np.zeros((1, 2), np.int64), np.zeros(1, bool)
+    places = (numbers, one, numbers, numbers, mask[0])
+    questions, by_label = Questions(mask, numbers, *digests), ByLabel(mask[0], numbers, span)
+    targets = TargetTables(questions, by_label, mask, numbers, one, mask, mask, *places)
+    fits(mask[0], mask[0], 1, 0, questions)
+    statements = StatementTables(
+        overlap=np.zeros((1, 1), bool),
+        sums=one,
+        labels=numbers,
+        anchors=np.full((1, 2), NOTHING),
+        spans=np.array([[[0, 1], [0, 1]]]),
+        presence=np.ones(1, bool),
+        bearing=np.zeros(1, bool),
+        pool_of_presence=numbers,
+        share=one,
+        groups=np.zeros((1, 2, 2), np.int64),
+        group_sums=one,
+        forms=none,
+        form_sums=one,
+        pool_of_form=numbers,
+    )
+    ends = np.array([0, 1])
+    names = NameTables(
+        room_first=ends,
+        room_anchor=np.full(1, NOTHING),
+        key_first=numbers,
+        first=np.array([0, 1, 1]),
+        sums=one,
+        weight=one,
+        group=numbers,
+        anchors=np.full((1, MOST_ANCHORS), NOTHING),
+        bearing=np.zeros(1, bool),
+        label=numbers,
+        statement_room=numbers,
+        asked=np.ones(1, bool),
+        start=np.zeros(1, bool),
+    )
+    stops = WantedStops(np.ones(1, np.int64), 1, 1, numbers, one, numbers, 1.0)
+    draw_program(
+        1,
+        WantedProgram(stops, 0, False, np.ones((1, 1), bool), 1),
+        numbers,
+        targets,
+        names,
+        statements,
+        np.zeros(64),
+        np.array([64, 0]),
+        drawn_program(1, 1, 1),
+    )
+
+
+register_warm_up("programs", _warm_up)
