@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Final
 
@@ -24,6 +24,12 @@ END: Final = ""
 SO_FAR: Final = "\n"
 """Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
 
+MARKS: Final = ",.;:?"
+"""Punctuation; each mark is a token and its own letter."""
+UNKNOWN: Final = "\0"
+"""Stands for each word that no phrase has."""
+
+_FIRST_LETTER: Final = 0x100
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
 _ARTICLES: Final = {
     "{a}": "indefinite",
@@ -50,6 +56,9 @@ class Phrasebook:
     contractions : the words that a contraction stands for
     lying : whether stops have words between noun and relation ("que está")
     room_first : whether a room comes before "there is" ("en la cocina hay") and before the relation of a stop
+    letters : a character for each word of the phrases
+    first : the characters of the words with which phrases of a kind begin
+    parsed : what the parsers of phrases found in earlier texts; see `PhraseReader`
     """
 
     tree: Node
@@ -57,6 +66,9 @@ class Phrasebook:
     classes: frozenset[str]
     lying: bool
     room_first: bool
+    letters: dict[str, str] = field(default_factory=lambda: {mark: mark for mark in MARKS})
+    first: dict[str, set[str]] = field(default_factory=dict)
+    parsed: dict[Any, Any] = field(default_factory=dict)
 
     def tokens(self, text: str) -> list[str]:
         """Return the words and punctuation of a text, in lower case, with contractions expanded."""
@@ -65,11 +77,20 @@ class Phrasebook:
             return found
         return [word for token in found for word in self.contractions.get(token, (token,))]
 
+    def spelled(self, tokens: Iterable[str]) -> str:
+        """Return words and punctuation with one character for each. All words that no phrase has become one character,
+        so that texts with equal results have the same matches at the same places.
+        """
+        letter = self.letters.get
+        return "".join([letter(token, UNKNOWN) for token in tokens])
+
     def add(self, text: str, kind: str, value: str, classes: Iterable[str]) -> None:
         """Add one phrase."""
-        node = self.tree
-        for token in self.tokens(text):
+        node, tokens = self.tree, self.tokens(text)
+        for token in tokens:
             node = node.setdefault(token, {})
+            self.letters.setdefault(token, chr(_FIRST_LETTER + len(self.letters)))
+        self.first.setdefault(kind, set()).add(self.letters[tokens[0]])
         node.setdefault(END, []).append((kind, value, frozenset(classes)))
 
 

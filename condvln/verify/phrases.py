@@ -5,7 +5,9 @@ All possible parses are followed; ``reading`` decides which of them form a whole
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
 from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook
@@ -58,7 +60,12 @@ FARTHEST: Final = 2
 """Largest number of marks between a room's name and "that bedroom"."""
 
 _MARKS: Final = frozenset(".;:?")
-"""Punctuation that ends a sentence or a part of one."""
+"""Punctuation that ends a sentence or a part of one. No phrase goes beyond it."""
+_PAUSES: Final = _MARKS | {","}
+LONGEST_KEPT: Final = 64
+"""Words of the longest part of a sentence whose phrases are kept for later texts."""
+MOST_KEPT: Final = 1 << 14
+"""Parts of sentences whose phrases are kept."""
 _OWNED: Final = {"exists": "has", "absent": "has_no"}
 """Slot of the claim "the kitchen has a lamp", by that of "there's a lamp"."""
 _STOPS: Final = frozenset(".;:")
@@ -76,69 +83,156 @@ def _beside(thing: Phrase, before: Phrase) -> Phrase:
 F = TypeVar("F")
 
 
-def _parsed_once(
-    parse: Callable[[PhraseReader, int, Named | None], Iterator[F]],
-) -> Callable[[PhraseReader, int, Named | None], list[F]]:
+_Parser = Callable[["PhraseReader", int, "Named | None"], Iterator[F]]
+_Parsed = Callable[["PhraseReader", int, "Named | None"], Sequence[F]]
+
+
+def _parsed_once(*first: str) -> Callable[[_Parser[F]], _Parsed[F]]:
     """Cache the results of a parser, so that each position of a text is parsed once although several readings lead to
     it.
+
+    first : the kinds of phrases that its results may begin with
     """
-    name = parse.__name__
+    kinds = frozenset(first)
 
-    def parsed(self: PhraseReader, at: int, last: Named | None) -> list[F]:
-        key = (name, at, last, self.scope)
-        found = self._parsed.get(key)
-        if found is None:
-            found = self._parsed[key] = list(parse(self, at, last))
-        return found
+    def of(parse: _Parser[F]) -> _Parsed[F]:
+        name = parse.__name__
 
-    return parsed
+        def parsed(self: PhraseReader, at: int, last: Named | None) -> Sequence[F]:
+            if self.here(at).keys().isdisjoint(kinds):
+                return ()
+            key = (name, at, last, self.scope)
+            found = self.parsed.get(key)
+            if found is None:
+                found = self.parsed[key] = list(parse(self, at, last))
+            return found
+
+        return parsed
+
+    return of
+
+
+def _kept(*first: str) -> Callable[[_Parser[F]], _Parsed[F]]:
+    """Cache the results of a parser as `_parsed_once`, also for other texts with the same words.
+
+    The results are tuples that begin with a position. They are found without words beyond a comma; or, behind a comma,
+    without words beyond another mark.
+    """
+    kinds = frozenset(first)
+
+    def of(parse: _Parser[F]) -> _Parsed[F]:
+        name = parse.__name__
+
+        def parsed(self: PhraseReader, at: int, last: Named | None) -> Sequence[F]:
+            if self.here(at).keys().isdisjoint(kinds) and not self._is(at, ","):
+                return ()
+            key = (name, at, last, self.scope)
+            found = self.parsed.get(key)
+            if found is None:
+                found = self.parsed[key] = self.from_earlier(key, lambda: parse(self, at, last))
+            return found
+
+        return parsed
+
+    return of
 
 
 class PhraseReader:
-    """Finds the phrases in one text. For each word, the phrases that begin there are looked up only once.
+    """Finds the phrases in one text. For each word, the phrases that begin there are looked up only once. What words
+    before a comma say is taken from earlier texts with the same words.
 
+    alone : whether to parse all words of the text itself, which `rest` needs
     scope : the room named at the beginning of the text, which applies to all objects without a room
     """
 
-    def __init__(self, book: Phrasebook, text: str) -> None:
+    def __init__(self, book: Phrasebook, text: str, *, alone: bool = False) -> None:
         self.book = book
         self.tokens = book.tokens(text)
+        self._letters = book.spelled(self.tokens)
+        self._ends = [at for at, token in enumerate(self.tokens) if token in _MARKS]
+        self._pauses = [at for at, token in enumerate(self.tokens) if token in _PAUSES]
+        self._alone = alone
         self.furthest = 0
         self.scope: Named | None = None
-        self._matches: dict[int, Mapping[str, Sequence[_Match]]] = {}
-        self._parsed: dict[tuple[str, int, Named | None, Named | None], list[Any]] = {}
+        self._matches: list[Matches | None] = [None] * (len(self.tokens) + 2)
+        self.parsed: dict[tuple[str, int, Named | None, Named | None], list[Any]] = {}
         self._apart: list[tuple[int, Named]] | None = None
 
     def rest(self) -> str:
         """Return some words of the text, starting at the furthest position that was parsed."""
         return " ".join(self.tokens[self.furthest : self.furthest + 6])
 
+    def from_earlier(
+        self, key: tuple[str, int, Named | None, Named | None], parse: Callable[[], Iterator[Any]]
+    ) -> list[Any]:
+        """Return what `parse` yields, taken from an earlier text that had the same words up to the next comma and named
+        the same rooms before them, if there was one.
+
+        key : name of the parser, position, room named last, scope
+        """
+        name, at, last, scope = key
+        ends = self._ends if self._is(at, ",") else self._pauses
+        after = bisect_left(ends, at)
+        words = self._letters[at : ends[after] + 1 if after < len(ends) else None]
+        if self._alone:
+            return list(parse())
+        before: tuple[Any, ...] = ()
+        if self._set_apart():
+            before = self._told_before(at, words)
+        return self._once((name, last, scope, words, before), at, words, parse)
+
+    def _told_before(self, at: int, words: str) -> tuple[Any, ...]:
+        """Return what the text before the word `at` contributes to the meaning of `words`: the rooms set apart there
+        and, if the words may mean one of them by "that bedroom", how far away each is named last.
+        """
+        before = tuple(dict.fromkeys([room for place, room in self._set_apart() if place < at]))
+        if not before or self.book.first["that"].isdisjoint(words):
+            return before
+        return (*before, *(min(self._marks_since(at + 1, room.label), FARTHEST + 1) for room in before))
+
+    def _once(self, told: Any, at: int, words: str, parse: Callable[[], Iterator[Any]]) -> list[Any]:
+        """Return what `parse` yields at the word `at`, from an earlier text if one has `told` the same."""
+        if self._alone or len(words) > LONGEST_KEPT:
+            return list(parse())
+        kept = self.book.parsed.get(told)
+        if kept is not None:
+            return [(at + length, *rest) for length, *rest in kept]
+        found = list(parse())
+        if len(found) <= LONGEST_KEPT:
+            if len(self.book.parsed) >= MOST_KEPT:
+                self.book.parsed.clear()
+            self.book.parsed[told] = [(end - at, *rest) for end, *rest in found]
+        return found
+
     # -- words and phrases ---------------------------------------------------------------------------------------------
 
-    def _here(self, at: int) -> Mapping[str, Sequence[_Match]]:
-        """Return (end, value, classes) of the phrases that begin at the word `at`, by kind."""
-        found = self._matches.get(at)
-        if found is None:
-            if at > self.furthest:
-                self.furthest = at
-            node: Any = self.book.tree
-            for token in self.tokens[at:]:
-                below = node.get(token)
-                if below is None:
-                    break
-                node = below
-            matches: Matches = node[SO_FAR]
-            found = self._matches[at] = {
-                kind: [(at + words, value, classes) for words, value, classes in them] for kind, them in matches.items()
-            }
+    def here(self, at: int) -> Matches:
+        """Return the phrases that begin at the word `at`, by kind."""
+        found = self._matches[at]
+        return self._look_up(at) if found is None else found
+
+    def _look_up(self, at: int) -> Matches:
+        if at > self.furthest:
+            self.furthest = at
+        node: Any = self.book.tree
+        for token in self.tokens[at:]:
+            below = node.get(token)
+            if below is None:
+                break
+            node = below
+        found: Matches = node[SO_FAR]
+        self._matches[at] = found
         return found
 
     def _of(self, at: int, kind: str) -> Sequence[_Match]:
         """Return (end, value, classes) of each phrase of a kind that begins at the word `at`."""
-        here = self._matches.get(at)
+        here = self._matches[at]
         if here is None:
-            here = self._here(at)
-        return here.get(kind, ())
+            here = self._look_up(at)
+        found = here.get(kind)
+        if found is None:
+            return ()
+        return [(at + words, value, classes) for words, value, classes in found]
 
     def _is(self, at: int, mark: str) -> bool:
         return at < len(self.tokens) and self.tokens[at] == mark
@@ -200,18 +294,32 @@ class PhraseReader:
         """
         if self._apart is None:
             self._apart = []
-            for at in range(len(self.tokens)):
-                for end, label in self._definite(at, "room"):
-                    for after, _, _ in self._of(end, "with"):
-                        # The longest noun wins: "the table lamp" is not a table.
-                        ends = dict(self._definite(after, "noun"))
-                        if ends:
-                            self._apart.append((at, Named(label, ends[max(ends)])))
+            if self._alone or not self.book.first["with"].isdisjoint(self._letters):
+                begin = 0
+                for end in [*self._pauses, len(self.tokens)]:
+                    words = self._letters[begin : end + 1]
+                    self._apart += self._once(("apart", words), begin, words, partial(self._apart_in, begin, end))
+                    begin = end
         return self._apart
+
+    def _apart_in(self, begin: int, end: int) -> Iterator[tuple[int, Named]]:
+        for at in range(begin, end):
+            for middle, label in self._definite(at, "room"):
+                for after, _, _ in self._of(middle, "with"):
+                    # The longest noun wins: "the table lamp" is not a table.
+                    ends = dict(self._definite(after, "noun"))
+                    if ends:
+                        yield at, Named(label, ends[max(ends)])
 
     def _is_named_near(self, noun: int, label: str) -> bool:
         """Return whether the room of "that bedroom", whose noun is at word `noun`, is named by words that are at most
         `FARTHEST` marks away: by "the bedroom with the desk", or by "that bedroom" again.
+        """
+        return self._marks_since(noun, label) <= FARTHEST
+
+    def _marks_since(self, noun: int, label: str) -> int:
+        """Return the number of marks between the noun of "that bedroom", at word `noun`, and the place before it where
+        the text names such a room last.
         """
         named = [place for place, room in self._set_apart() if place < noun and room.label == label]
         named += [
@@ -220,7 +328,7 @@ class PhraseReader:
             for end, _, classes in self._of(at, "that")
             if any(room == label for _, room in self._agreeing(end, "room", classes))
         ]
-        return sum(token in _MARKS for token in self.tokens[max(named) : noun]) <= FARTHEST
+        return sum(token in _MARKS for token in self.tokens[max(named) : noun])
 
     def _related(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
         for end, predicate, _ in self._of(at, "predicate"):
@@ -273,6 +381,7 @@ class PhraseReader:
             for end, _, _ in self._of(at, "there"):
                 yield end, last, last
 
+    @_kept("the")
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse one stop as named in moves: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
@@ -370,7 +479,7 @@ class PhraseReader:
                     if what.room == self.scope:
                         yield after, what._replace(room=room), named
 
-    @_parsed_once
+    @_kept("exists", "exists_again", "absent", "absent_again", "the", "that", "in")
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims. Yield (end, True if asserted or False if denied, claim, room named last)."""
         for present, some, known in (
@@ -384,14 +493,14 @@ class PhraseReader:
                 for end, what, named in found:
                     yield end, present, what, named
 
-    @_parsed_once
+    @_kept("also", "also_a", "there_also", "nor", "in")
     def _joined(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims without their verb: "a lamp in the kitchen" behind "if there's a bed and"."""
         for present, slot in ((True, "also"), (True, "also_a"), (True, "there_also"), (False, "nor")):
             for end, what, named in self._some(slot, at, last):
                 yield end, present, what, named
 
-    @_parsed_once
+    @_parsed_once("see", "check", "look_at", "look", "is_there", "asks_is", "in")
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse requests to look, and questions with their question mark."""
         for end, _, _ in self._of(at, "see"):
@@ -407,7 +516,7 @@ class PhraseReader:
         questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]
         yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
 
-    @_parsed_once
+    @_parsed_once("go")
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves to one or more stops, up to the end of a clause. Punctuation or "if" must follow directly after
         the moves.
@@ -415,7 +524,7 @@ class PhraseReader:
         for start, _, _ in self._of(at, "go"):
             yield from self._things_in_turn(start, last)
 
-    @_parsed_once
+    @_parsed_once("to")
     def _verbless_stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves whose verb was said before: "to the lamp"."""
         for start, _, _ in self._of(at, "to"):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from condvln.instructions import parse, reading_of, render
-from condvln.verify.phrasebook import phrasebook
+from condvln.verify import phrases
+from condvln.verify.phrasebook import MARKS, SO_FAR, phrasebook
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from condvln.verify.words import words
@@ -316,6 +318,78 @@ def test_every_rendered_text_reads_as_its_program(program: Program, seed: int) -
     for truths in product((True, False), repeat=len(said)):
         case = sum(1 << reading.conditions.index(p) for p, truth in zip(said, truths, strict=True) if truth)
         assert reading.moves[case] == tuple(map(phrase, program.leaves[program.gold_leaf(truths)].moves))
+
+
+ROOMS_APART = [
+    # The same words mean another room, or nothing, by what comes before them.
+    "If there's a lamp in the bedroom with the piano, go to the sofa in that bedroom. If not, go to the bed there.",
+    "If there's a lamp in the bedroom with the desk, go to the sofa in that bedroom. If not, go to the bed there.",
+    "If there's a lamp in the kitchen, go to the sofa in that bedroom. If not, go to the bed there.",
+    "If there's a lamp in the bedroom with the piano, go to the sofa in the bedroom. If not, go to the bed there.",
+    "If there's a lamp in the bedroom, go to the sofa in the bedroom. If not, go to the bed there.",
+    "If there's a lamp in the bedroom with the piano, see if there's a sink in the kitchen: if so, go to the oven in "
+    "the kitchen; if not, go to the stove in the kitchen. If there's no lamp, go to the bed in that bedroom.",
+    "If there's a lamp in the bedroom with the piano, go to the oven in the kitchen. If not, go to the bed in that "
+    "bedroom.",
+    "If there's a lamp in the bedroom with the piano, go to the oven in the kitchen. If not, see if there's a sink in "
+    "the kitchen. If there is, go to the oven in the kitchen. If there isn't, go to the bed in that bedroom.",
+    "In the kitchen, if there's a lamp, go to the sofa. If not, go to the bed.",
+    "In the bedroom, if there's a lamp, go to the sofa. If not, go to the bed.",
+    "If there's a lamp, go to the sofa. If not, go to the bed.",
+    "See if, in the bedroom with the piano, the lamp is near the bed. If it is, go to the sofa. If not, go to the bed.",
+    "See if, in the bedroom with the desk, the lamp is near the bed. If it is, go to the sofa. If not, go to the bed.",
+]
+
+
+def found_in(text: str) -> TextReading | str:
+    try:
+        return read(text)
+    except Unreadable as fault:
+        return str(fault)
+
+
+def test_what_a_text_says_does_not_depend_on_the_texts_read_before_it() -> None:
+    alone = []
+    for text in ROOMS_APART:
+        phrasebook.cache_clear()
+        alone.append(found_in(text))
+    assert len({reading for reading in alone if isinstance(reading, TextReading)}) == 8
+    for texts, found in ((ROOMS_APART, alone), (ROOMS_APART[::-1], alone[::-1])):
+        phrasebook.cache_clear()
+        assert [found_in(text) for text in texts] == found
+        assert [found_in(text) for text in texts] == found
+
+
+def test_few_and_short_parts_of_earlier_texts_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    phrasebook.cache_clear()
+    monkeypatch.setattr(phrases, "MOST_KEPT", 10)
+    alone = [found_in(text) for text in ROOMS_APART]
+    assert 0 < len(phrasebook("en").parsed) <= 10
+    long = "If there's a lamp near the bed" + " near the bed" * phrases.LONGEST_KEPT
+    kept = set(phrasebook("en").parsed)
+    assert "parsing stops" in str(found_in(f"{long}, go to the sofa."))
+    assert {*phrasebook("en").parsed} == kept
+    phrasebook.cache_clear()
+    monkeypatch.undo()
+    assert [found_in(text) for text in ROOMS_APART] == alone
+
+
+@pytest.mark.parametrize("code", ["en", "es"])
+def test_only_further_stops_begin_with_a_comma(code: str) -> None:
+    """Claims and single stops are kept for other texts by their words up to a comma, and no phrase goes beyond another
+    mark.
+    """
+
+    def with_marks(node: dict[str, Any], before: tuple[str, ...]) -> Iterator[tuple[str, tuple[str, ...]]]:
+        for word, below in node.items():
+            if word == "":
+                yield from ((kind, before) for kind, _, _ in below if set(before) & set(MARKS))
+            elif word != SO_FAR:
+                yield from with_marks(below, (*before, word))
+
+    found = list(with_marks(phrasebook(code).tree, ()))
+    assert {kind for kind, _ in found} <= {"then", "second", "last"}
+    assert all(words[0] == "," and not set(words[1:]) & set(MARKS) for _, words in found)
 
 
 def test_every_noun_of_the_phrasebook_is_one_label() -> None:
