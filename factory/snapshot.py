@@ -295,7 +295,7 @@ class Snapshot:
                 if hashlib.sha256(data).hexdigest() != part.sha256:
                     raise CorruptShardError("the file differs from the manifest", where=where, remedy=REBUILD_VERIFIED)
                 rows = parquet_table(data, where, columns)
-                tables.append(rows.append_column("source", pa.array([source] * rows.num_rows, pa.string())))
+                tables.append(rows.append_column("source", pa.repeat(pa.scalar(source, pa.string()), rows.num_rows)))
         return pa.concat_tables(tables) if tables else pa.table({})
 
     def index(self) -> Index:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from condvln.formats.json_arrays import TextArray, parse_large
 from schemas.errors import FormatError
 
-__all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "nesting_depth", "parse_json"]
+__all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "is_shallow", "nesting_depth", "parse_json"]
 
 MAX_DEPTH = 64
 """Deepest accepted nesting. Real documents have under ten levels; the parser's own limit depends on the call stack."""
@@ -29,6 +29,12 @@ LARGE_BYTES: Final = 16 << 20
 
 _PIECE: Final = 1 << 20
 """Bytes scanned at once; counting takes ten times the memory of the scanned piece."""
+
+_LEVELS: Final = 12
+"""How often levels are taken out of a text to see that it is shallow, at most two at once; so `MAX_DEPTH` is at least
+twice as much.
+"""
+_NO_BRACKETS: Final = bytes(set(range(256)) - set(b'[]{}"'))
 
 # A whole string; or one that continues beyond the piece, of which the quote and a last single backslash are kept. The
 # pattern never backtracks to retry from every quote, whatever the input.
@@ -47,7 +53,7 @@ def parse_json(data: bytes, where: str) -> JsonNode:
     FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a repeated key, NaN or infinite numbers
     """
     # The parser's own limit depends on the call stack.
-    if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
+    if not is_shallow(data) and (depth := nesting_depth(data)) > MAX_DEPTH:
         raise FormatError(
             f"the document is nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY
         )
@@ -73,6 +79,26 @@ def parse_json(data: bytes, where: str) -> JsonNode:
 def canonical_json(value: Any) -> bytes:
     """Return a value as canonical JSON bytes for hashing: sorted keys, no blanks, ASCII."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_listed).encode("ascii")
+
+
+def is_shallow(data: bytes) -> bool:
+    """Return whether brackets and braces are surely nested at most `MAX_DEPTH` deep; `nesting_depth` decides the rest.
+
+    The text is cut down to brackets and quotes. If all quotes then stand in pairs, no string has a bracket, and pairs
+    of brackets can be taken out level by level.
+    """
+    if data.count(b"[") + data.count(b"{") <= MAX_DEPTH:
+        return True
+    if b"\\" in data:
+        return False
+    bare = data.translate(None, _NO_BRACKETS).replace(b'""', b"")
+    if b'"' in bare:
+        return False
+    for _ in range(_LEVELS):
+        bare = bare.replace(b"[]", b"").replace(b"{}", b"")
+        if not bare:
+            return True
+    return False
 
 
 def nesting_depth(data: bytes) -> int:

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, Final, NoReturn, cast
 import numpy as np
 import orjson
 
-from condvln.formats.json_document import MAX_DEPTH, nesting_depth
+from condvln.formats.json_document import MAX_DEPTH, is_shallow, nesting_depth
 from condvln.formats.json_scan import DEPTH, IN_STRING, new_state, scan
 from condvln.formats.regular_file import open_regular
 from schemas.errors import FormatError, MissingFileError
@@ -256,7 +256,7 @@ def parsed(data: bytes, path: Path, place: str, *, item: str = "", nonfinite: bo
         element
     """
     # Checked first, so that no parser recurses without limit.
-    if data.count(b"[") + data.count(b"{") > MAX_DEPTH and (depth := nesting_depth(data)) > MAX_DEPTH:
+    if not is_shallow(data) and (depth := nesting_depth(data)) > MAX_DEPTH:
         _refuse(path, place, _too_deep(depth))
     try:
         value = orjson.loads(data)

@@ -54,6 +54,7 @@ class ProcthorSource(SceneSource):
         super().__init__(root, options)
         self._open: dict[str, JsonLines] = {}
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
+        self._house: tuple[tuple[str, bytes], House] | None = None
         if not self._files() and not self._lost:
             raise ConfigError(
                 "no houses (*.jsonl, *.jsonl.gz, *.json) are in this folder",
@@ -146,14 +147,18 @@ class ProcthorSource(SceneSource):
         return joined([*structure, object_boxes(enumerate(scene.objects))], approximate=True)
 
     def house(self, scene_id: str) -> House:
-        """Return the raw record of a house in Habitat's frame, including walls, doors and windows.
+        """Return the raw record of a house in Habitat's frame, including walls, doors and windows. The house that was
+        asked for last is not parsed again, unless its file has changed.
 
         Raises
         ------
         InputError : as `read`
         """
-        name, data = self.record(scene_id)
-        return read_house(parse_json(data, str(self.root / name)))
+        record = self.record(scene_id)
+        if self._house is None or self._house[0] != record:
+            name, data = record
+            self._house = (record, read_house(parse_json(data, str(self.root / name))))
+        return self._house[1]
 
     def record(self, scene_id: str) -> tuple[str, bytes]:
         """Return where a house is stored (path relative to the root, with ``#line`` in a file of lines), and its JSON.

@@ -6,12 +6,12 @@ import json
 from contextlib import suppress
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from condvln.formats import json_document
 from condvln.formats.json_arrays import TextArray
-from condvln.formats.json_document import MAX_DEPTH, JsonNode, canonical_json, nesting_depth, parse_json
+from condvln.formats.json_document import MAX_DEPTH, JsonNode, canonical_json, is_shallow, nesting_depth, parse_json
 from schemas.errors import FormatError
 
 documents = st.recursive(
@@ -70,6 +70,23 @@ def test_depth_is_that_of_a_plain_count(text: bytes, piece: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(json_document, "_PIECE", piece)
         assert nesting_depth(text) == deepest
+
+
+@given(bracketed, st.integers(0, 4))
+@example(b'"[""]"[[]]', 0)
+@example(b'[["[",[["]"]]]', 1)
+def test_a_text_that_passes_for_shallow_is_not_deep(text: bytes, levels: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(json_document, "MAX_DEPTH", 2 * levels)
+        patch.setattr(json_document, "_LEVELS", levels)
+        assert not is_shallow(text) or nesting_depth(text) <= 2 * levels
+
+
+def test_common_documents_pass_for_shallow() -> None:
+    row = {"places": [[1.5, 2.0, "a"]] * MAX_DEPTH, "program": {"leaves": [{"moves": [{"room": {}}]}]}}
+    assert is_shallow(json.dumps(row).encode())
+    assert not is_shallow(b"[" * (MAX_DEPTH + 1) + b"]" * (MAX_DEPTH + 1))
+    assert 2 * json_document._LEVELS <= MAX_DEPTH
 
 
 @given(
