@@ -33,7 +33,7 @@ from condvln.manifest import manifest_lines, manifest_paths
 from schemas.errors import MissingFileError
 from schemas.program import CATEGORIES
 
-__all__ = ["CELL_CAP", "LEAST_EPISODES", "UNIFORM_FROM", "judge", "judge_export"]
+__all__ = ["CELL_CAP", "LEAST_EPISODES", "UNIFORM_FROM", "BiasGate", "judge", "judge_export"]
 
 CELL_CAP: Final = 5_000
 """Largest number of episodes guessed per source and category, taken by the smallest hashes of their ids. So many are
@@ -64,11 +64,35 @@ def judge(rows: Iterable[Mapping[str, Any]]) -> BiasReport:
     ------
     FormatError : a row is not a valid manifest row
     """
-    sample = _Sample()
+    gate = BiasGate()
     # Rows are trees without cycles; collecting garbage among them would take a tenth of the gate's time.
     with no_collection():
         for row in rows:
-            sample.add(GuesserView.of(row))
+            gate.add(row)
+    return gate.report()
+
+
+class BiasGate:
+    """The bias gate of an export that is being written: it is shown each manifest row, and judges all at the end."""
+
+    def __init__(self) -> None:
+        self._sample = _Sample()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Take note of one manifest row, in any order of the rows.
+
+        Raises
+        ------
+        FormatError : it is not a valid manifest row
+        """
+        self._sample.add(GuesserView.of(row))
+
+    def report(self) -> BiasReport:
+        """Run every guesser on the rows, and test whether any beats chance."""
+        return _judged(self._sample)
+
+
+def _judged(sample: _Sample) -> BiasReport:
     views = sample.views()
     findings = list(_findings(views)) if len(views) >= LEAST_EPISODES else []
     cells = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from condvln.scene.layouts import layout_of
@@ -113,9 +114,12 @@ def _asked(condition: Mapping[str, Any]) -> Asked:
 
 def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> LeafView:
     moves = words["moves"]
+    distance, route = float(placed["geodesic_distance"]), float(placed["route_length"])
+    if not isfinite(distance + route):
+        raise ValueError("a distance is not finite")
     return LeafView(
         labels=tuple([move["label"] for move in moves]),
         room=moves[-1]["room"]["label"],
-        distance=float(placed["geodesic_distance"]),
-        route=float(placed["route_length"]),
+        distance=distance,
+        route=route,
     )

@@ -37,7 +37,11 @@ _MEASUREMENTS: Final = (
 )  # fmt: skip
 
 
-class _WithoutAnchors(yaml.SafeDumper):
+_DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+"""libyaml's writer where PyYAML was built with it: the same bytes for these documents in a quarter of the time."""
+
+
+class _WithoutAnchors(_DUMPER):  # type: ignore[misc]
     """A YAML dumper without anchors: repeated values are written in full."""
 
     def ignore_aliases(self, data: Any) -> bool:

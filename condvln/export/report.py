@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from condvln.bias import BiasReport
+from condvln.bias.report import fields_of
 from condvln.export.selection import SelectionCell
 from schemas.version import SCHEMA_VERSION
 
@@ -132,12 +133,12 @@ class ExportReport:
 
     def document(self) -> dict[str, Any]:
         """Return the report as JSON; equal exports give equal documents."""
-        cells = [{**asdict(cell), "shortfall": cell.shortfall} for cell in self.cells]
+        cells = [{**fields_of(cell), "shortfall": cell.shortfall} for cell in self.cells]
         return {
             "schema_version": SCHEMA_VERSION,
-            **{key: value for key, value in asdict(self).items() if key not in ("cells", "files", "bias")},
+            **{key: value for key, value in fields_of(self).items() if key not in ("cells", "files", "bias")},
             "lopsided_splits": self.lopsided,
             "bias": None if self.bias is None else self.bias.document(),
             "cells": cells,
-            "files": {path: asdict(self.files[path]) for path in sorted(self.files)},
+            "files": {path: fields_of(self.files[path]) for path in sorted(self.files)},
         }

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from condvln.bias import judge_export
+from condvln.bias import BiasGate
 from condvln.export.card import dataset_card
 from condvln.export.changelog import Generated, PublishedEpisodes, changes_between, with_entry
 from condvln.export.consumers import consumer_files
@@ -27,7 +27,7 @@ from condvln.export.splits import SPLITS, Split
 from condvln.export.staging import staged
 from condvln.export.tables import SnapshotTables, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
-from condvln.export.variants import ORACLE_COLUMNS, OracleText, oracle_text_of
+from condvln.export.variants import ORACLE_COLUMNS, OracleText, kept_texts, oracle_text_of
 from condvln.export.vlnce import SCENE_PATTERNS
 from condvln.export.writer import ExportWriter, Layout
 from condvln.formats.streams import atomic_stream
@@ -135,6 +135,7 @@ def _write_export(
     report.left_out = dict(sorted(selection.left_out.items()))
     report.empty_splits = {str(split): why for split, why in selection.empty.items()}
     report.truth_imbalance = selection.truth_imbalance
+    oracle_texts = kept_texts(oracle_texts) if callable(oracle_texts) else oracle_texts
     vocabulary = config.vocabulary or Vocabulary.of(_texts(tables, splits_of, oracle_texts))
     report.vocabulary = len(vocabulary.words)
     report.episodes = dict.fromkeys(SPLITS, 0)
@@ -142,11 +143,13 @@ def _write_export(
     published, before = _formerly(out, exported_snapshot(out), tables.id, former, config)
     splits = config.splits
     layout = Layout(dict(config.scene_patterns), config.token_length, splits.sharded, tables.id)
-    writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs)
+    gate = BiasGate() if splits.bias != "off" else None
+    show = None if gate is None else gate.add
+    writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs, show=show)
     with writer.open():
         _write_rows(tables, splits_of, writer, report, progress)
-    if config.splits.bias != "off":
-        report.bias = judge_export(new)
+    if gate is not None:
+        report.bias = gate.report()
     for picture in pictures(new) if pictures is not None else ():
         _write(new, picture.path, picture.data, report)
         report.pictures[picture.path] = picture.caption

@@ -19,6 +19,7 @@ __all__ = [
     "RXR_LANGUAGES",
     "OracleText",
     "ansr_bytes",
+    "kept_texts",
     "oracle_episode",
     "oracle_text_of",
     "rxr_episode",
@@ -64,6 +65,9 @@ OracleText = Mapping[int, str] | Callable[[Row, Row], str]
 the whole instructions row.
 """
 
+TEXTS_KEPT: Final = 1 << 16
+"""Number of linear texts that are kept from the pass that collects words for the one that writes: some 30 MB."""
+
 ORACLE_COLUMNS: Final = (
     "scene_id",
     "episode_id",
@@ -73,6 +77,22 @@ ORACLE_COLUMNS: Final = (
     "start_heading_degrees",
     "instruction_text",
 )
+
+
+def kept_texts(texts: Callable[[Row, Row], str]) -> Callable[[Row, Row], str]:
+    """Return a function that gives the same texts, and makes each of the first `TEXTS_KEPT` once for two calls."""
+    kept: dict[tuple[str, int], str] = {}
+
+    def text(episode: Row, instruction: Row) -> str:
+        key = (episode["scene_id"], episode["episode_id"])
+        known = kept.pop(key, None)
+        if known is None:
+            known = texts(episode, instruction)
+            if len(kept) < TEXTS_KEPT:
+                kept[key] = known
+        return known
+
+    return text
 
 
 def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,7 +76,9 @@ class ExportWriter:
         *,
         oracle_texts: OracleText | None = None,
         graphs: Graphs | None = None,
+        show: Callable[[Row], object] | None = None,
     ) -> None:
+        """Prepare to write below ``out``; ``show`` is called with each manifest row that is written."""
         self._out = out
         self._layout = layout
         self._vocabulary = vocabulary
@@ -84,6 +86,7 @@ class ExportWriter:
         self._report = report
         self._oracle_texts = oracle_texts
         self._graphs = graphs
+        self._show = show
         self._variants = ("vlnce", "ansr", "rxr") if oracle_texts is None else ("vlnce", "ansr", "rxr", "oracle")
         self._splits: list[_SplitFiles] = []
         self._open = ExitStack()
@@ -197,7 +200,10 @@ class ExportWriter:
         files.truth.add(encode(str(row["episode_id"])) + b":" + truth)
         navmesh, _ = self._scenes.navmesh_path(source, row["scene_id"])
         names = {"source": source, "split": files.name, "navmesh": navmesh, "snapshot": self._layout.snapshot}
-        files.manifest.write(encode(manifest_row(row, instruction, **names)) + b"\n")
+        told = manifest_row(row, instruction, **names)
+        files.manifest.write(encode(told) + b"\n")
+        if self._show is not None:
+            self._show(told)
         self._note_shape(source, row, files.name)
         if self._graphs and source == _MP3D:
             self._add_r2r(files, row, instruction)

@@ -17,8 +17,7 @@ from importlib.resources import files
 from itertools import accumulate, pairwise
 from typing import Any, Final, Literal
 
-import yaml
-
+from condvln.formats.packaged_yaml import packaged_yaml
 from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
 from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
@@ -329,7 +328,7 @@ def language(code: str = "en") -> Language:
 
 def _document(code: str) -> Mapping[str, Any]:
     text = files("condvln.instructions").joinpath("grammar", f"{code}.yaml").read_text(encoding="utf-8")
-    document: Mapping[str, Any] = yaml.safe_load(text)
+    document: Mapping[str, Any] = packaged_yaml(text)
     return document
 
 

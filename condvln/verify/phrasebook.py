@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Final
 
-import yaml
-
+from condvln.formats.packaged_yaml import packaged_yaml
 from condvln.verify.words import package_data, words
 
 __all__ = ["SO_FAR", "Matches", "Phrasebook", "phrasebook"]
@@ -97,7 +96,7 @@ class Phrasebook:
 @cache
 def phrasebook(code: str = "en") -> Phrasebook:
     """Return the phrasebook of a language code, read once per process."""
-    document = yaml.safe_load(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
+    document = packaged_yaml(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
     book = Phrasebook(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from condvln.episodes.identity import numeric_id
 from condvln.evaluation.discrete import GraphDistances, evaluate_graph, read_graph_episodes
 from condvln.evaluation.predictions import GraphPrediction
+from condvln.export import variants
 from condvln.export.r2r import r2r_episode
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.splits import SPLITS
@@ -66,6 +68,25 @@ def test_shards_hold_the_episodes_scene_by_scene(exported: Path, tables: MemoryT
                     path.name.removesuffix(".json.gz")
                 }
     assert (tmp_path / "manifest" / "train.jsonl").read_bytes() == (exported / "manifest" / "train.jsonl").read_bytes()
+
+
+@pytest.mark.parametrize("kept", [3, 1 << 16])
+def test_linear_texts_are_made_once_while_there_is_room(
+    exported: Path, tables: MemoryTables, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
+) -> None:
+    asked: Counter[int] = Counter()
+
+    def text(episode: dict[str, Any], instruction: dict[str, Any]) -> str:
+        asked[episode["episode_id"]] += 1
+        return linear_text(episode, instruction)
+
+    monkeypatch.setattr(variants, "TEXTS_KEPT", kept)
+    export_snapshot(tables, tmp_path, oracle_texts=text)
+    for split in SPLITS:
+        path = f"oracle/{split}/{split}.json.gz"
+        assert (tmp_path / path).read_bytes() == (exported / path).read_bytes()
+    assert Counter(asked.values())[1] == (min(kept, len(asked)))
+    assert set(asked.values()) <= {1, 2}
 
 
 def test_two_sources_with_one_scene_name_get_two_shards(tmp_path: Path) -> None:
