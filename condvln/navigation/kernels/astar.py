@@ -118,9 +118,8 @@ def edge_to(mesh: QueryMesh, poly: int, other: int) -> int:
 
 
 @compiled
-def place_at_edge(mesh: QueryMesh, search: Search, poly: int, other: int) -> None:
-    """Set the position of the node ``other`` to the middle of the edge that ``poly`` shares with ``other``."""
-    edge = edge_to(mesh, poly, other)
+def place_at_edge(mesh: QueryMesh, search: Search, poly: int, edge: int, other: int) -> None:
+    """Set the position of the node ``other`` to the middle of an edge of ``poly``."""
     a = mesh.poly_verts[poly, edge]
     b = mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]
     search.position[other, 0] = (mesh.verts[a, 0] + mesh.verts[b, 0]) * HALF
@@ -180,7 +179,7 @@ def find_corridor(
                 nodes += 1
                 search.round[other] = this_round
                 state[other] = 0
-                place_at_edge(mesh, search, best, other)
+                place_at_edge(mesh, search, best, edge, other)  # the first edge that leads there
                 ahead = distance(position[other, 0], position[other, 1], position[other, 2], ex, ey, ez)
                 search.remaining[other] = ahead
             else:

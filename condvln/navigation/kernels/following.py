@@ -20,8 +20,7 @@ from condvln.compiled import compiled, inlined, keep, uncounted
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.geometry import ONE, ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.kernels.movement import step
-from condvln.navigation.kernels.projection import ANY_ISLAND, nearest_polygon
+from condvln.navigation.kernels.movement import Place, StepMemory, copy_place, new_place, new_step_memory, put, step
 from condvln.navigation.kernels.route import INFINITE, route_between
 from condvln.navigation.kernels.straight import MAX_POINTS
 from condvln.navigation.tile import Floats, Indices
@@ -69,22 +68,12 @@ class Limits(NamedTuple):
     """if no step leads nearer"""
 
 
-class Goal(NamedTuple):
-    """A goal as requested and as projected onto the navmesh."""
-
-    asked: Floats
-    poly: int
-    at: Floats
-
-
 @compiled
-def _remaining(mesh: QueryMesh, search: Search, point: Floats, goal: Goal, points: Floats) -> tuple[np.float32, int]:
-    """Return the geodesic distance from ``point`` to the goal, and the number of corners of the path. The corners are
+def _remaining(mesh: QueryMesh, search: Search, place: Place, goal: Place, points: Floats) -> tuple[np.float32, int]:
+    """Return the geodesic distance from a place to the goal, and the number of corners of the path. The corners are
     written to ``points``.
     """
-    at = np.empty(3, np.float32)
-    poly, at[0], at[1], at[2] = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
-    return route_between(mesh, search, point, poly, at, goal.asked, goal.poly, goal.at, points)
+    return route_between(mesh, search, place.asked, place.poly[0], place.at, goal.asked, goal.poly[0], goal.at, points)
 
 
 @inlined
@@ -113,33 +102,35 @@ def _candidate(number: int, off: float) -> int:
 
 
 @compiled
-def _try_heading(mesh: QueryMesh, gait: Gait, point: Floats, heading: int, reached: Floats) -> bool:
-    """Step from ``point`` along a heading, and write the end of the step to ``reached``. Return whether no wall was
+def _try_heading(mesh: QueryMesh, gait: Gait, place: Place, heading: int, memory: StepMemory, reached: Place) -> bool:
+    """Step from a place along a heading, and write the end of the step to ``reached``. Return whether no wall was
     hit.
     """
-    end = point.copy()
-    end[0] = end[0] + gait.moves[heading, 0]
-    end[2] = end[2] + gait.moves[heading, 1]
-    step(mesh, point, end, gait.sliding, reached)
-    return bool(reached[0] == end[0] and reached[2] == end[2])
+    end = memory.end
+    end[0] = place.asked[0] + gait.moves[heading, 0]
+    end[1] = place.asked[1]
+    end[2] = place.asked[2] + gait.moves[heading, 1]
+    step(mesh, place, gait.sliding, memory, reached)
+    return bool(reached.asked[0] == end[0] and reached.asked[2] == end[2])
 
 
 @inlined
 def _best_heading(
     mesh: QueryMesh,
     search: Search,
+    memory: StepMemory,
     gait: Gait,
-    point: Floats,
+    place: Place,
     heading: int,
     off: float,
     distance: np.float32,
-    goal: Goal,
+    goal: Place,
     near_enough: np.float32,
     contact: bool,
     points: Floats,
-    tried: Floats,
+    tried: Place,
 ) -> tuple[int, np.float32, int]:
-    """Return the heading of the best step from ``point``, and the geodesic distance after this step. The results are -1
+    """Return the heading of the best step from a place, and the geodesic distance after this step. The results are -1
     and infinity if no step is possible.
 
     The current heading is tried first if it is within one turn of the path's direction, then the headings nearest to
@@ -156,13 +147,13 @@ def _best_heading(
         if number >= 0 and straight_first and turns == 0:
             continue
         candidate = (heading + turns) % headings
-        free = _try_heading(mesh, gait, point, candidate, tried)
+        free = _try_heading(mesh, gait, place, candidate, memory, tried)
         if not (free or contact):
             continue
         after, corners = _remaining(mesh, search, tried, goal, points)
         if not (free or gait.sliding):
             corners = 0  # the next line overwrites the points
-            if not _can_go_on(mesh, search, gait, tried, after, goal, points):
+            if not _can_go_on(mesh, search, memory, gait, tried, after, goal, points):
                 continue
         if after < best:
             best = after
@@ -174,12 +165,19 @@ def _best_heading(
 
 @inlined
 def _can_go_on(
-    mesh: QueryMesh, search: Search, gait: Gait, point: Floats, distance: np.float32, goal: Goal, points: Floats
+    mesh: QueryMesh,
+    search: Search,
+    memory: StepMemory,
+    gait: Gait,
+    place: Place,
+    distance: np.float32,
+    goal: Place,
+    points: Floats,
 ) -> bool:
-    """Return whether some step from ``point``, a position at a wall, shortens the path to the goal."""
-    tried = np.empty(3, np.float32)
+    """Return whether some step from a place at a wall shortens the path to the goal."""
+    tried = new_place()
     for heading in range(gait.moves.shape[0]):
-        _try_heading(mesh, gait, point, heading, tried)
+        _try_heading(mesh, gait, place, heading, memory, tried)
         after, _ = _remaining(mesh, search, tried, goal, points)
         if distance - after >= LEAST_PROGRESS:
             return True
@@ -190,26 +188,30 @@ def _can_go_on(
 def _way_around(
     mesh: QueryMesh,
     search: Search,
+    memory: StepMemory,
     gait: Gait,
-    point: Floats,
+    place: Place,
     distance: np.float32,
-    goal: Goal,
+    goal: Place,
     contact: bool,
     points: Floats,
 ) -> Indices:
-    """Return the headings of steps that lead from ``point`` around an obstacle to a position from which the path to the
+    """Return the headings of steps that lead from a place around an obstacle to a position from which the path to the
     goal is shorter. The result is empty if no such steps were found.
 
     Best-first search over positions reached by steps, nearest to the goal first.
     """
     places = np.empty((MAX_AROUND, 3), np.float32)
+    snapped = np.empty((MAX_AROUND, 3), np.float32)
+    polys = np.empty((MAX_AROUND, 1), np.int64)
     left = np.empty(MAX_AROUND, np.float32)
     parent = np.empty(MAX_AROUND, np.int64)
     taken = np.empty(MAX_AROUND, np.int64)
     done = np.zeros(MAX_AROUND, np.bool_)
-    places[0], left[0], parent[0], taken[0] = point, distance, -1, -1
+    copy_place(place, Place(places[0], snapped[0], polys[0]))
+    left[0], parent[0], taken[0] = distance, -1, -1
     count = int(ONE)
-    tried = np.empty(3, np.float32)
+    tried = new_place()
     while True:
         node = -1
         for i in range(count):
@@ -218,14 +220,16 @@ def _way_around(
         if node < 0:
             return np.empty(0, np.int64)
         done[node] = True
+        begin = Place(places[node], snapped[node], polys[node])
         for heading in range(gait.moves.shape[0]):
-            free = _try_heading(mesh, gait, places[node], heading, tried)
-            if not (free or contact) or _known(places, count, tried):
+            free = _try_heading(mesh, gait, begin, heading, memory, tried)
+            if not (free or contact) or _known(places, count, tried.asked):
                 continue
             after, _ = _remaining(mesh, search, tried, goal, points)
             if count == MAX_AROUND:
                 return np.empty(0, np.int64)
-            places[count], left[count], parent[count], taken[count] = tried, after, node, heading
+            copy_place(tried, Place(places[count], snapped[count], polys[count]))
+            left[count], parent[count], taken[count] = after, node, heading
             count += 1
             if after < distance - LEAST_PROGRESS:
                 return _headings_to(parent, taken, count - 1)
@@ -261,17 +265,18 @@ def _headings_to(parent: Indices, taken: Indices, node: int) -> Indices:
 def _plan(
     mesh: QueryMesh,
     search: Search,
+    memory: StepMemory,
     gait: Gait,
-    point: Floats,
+    place: Place,
     heading: int,
     path: Floats,
     corners: int,
     distance: np.float32,
-    goal: Goal,
+    goal: Place,
     limits: Limits,
     careful: bool,
     points: Floats,
-    tried: Floats,
+    tried: Place,
 ) -> tuple[Indices, np.float32, int]:
     """Return the headings of the next steps: of one step that shortens the path, or of several steps around an
     obstacle; empty if neither exists.
@@ -286,7 +291,7 @@ def _plan(
             break
         contact = gait.sliding or attempt == 1
         other, after_other, known_other = _best_heading(
-            mesh, search, gait, point, heading, off, distance, goal, limits.stop_within, contact, points, tried
+            mesh, search, memory, gait, place, heading, off, distance, goal, limits.stop_within, contact, points, tried
         )
         known = 0
         if after_other < after:
@@ -297,7 +302,7 @@ def _plan(
     if distance > limits.arrive_within:
         for attempt in range(1 if gait.sliding else 2):
             contact = gait.sliding or attempt == 1
-            around = _way_around(mesh, search, gait, point, distance, goal, contact, points)
+            around = _way_around(mesh, search, memory, gait, place, distance, goal, contact, points)
             if around.shape[0] > 0:
                 break
     return around, after, 0
@@ -319,25 +324,29 @@ def follow(
     steps at which each goal was reached (-1: not reached), the remaining geodesic distance in metres, and the outcome.
     A ``careful`` walk without sliding touches a wall only if it would not make progress otherwise.
     """
+    mesh, gait, goals = uncounted(mesh), uncounted(gait), uncounted(goals)
     headings = gait.moves.shape[0]
     actions = np.empty(max_actions + 1, np.int8)
     locations = np.empty((max_actions + 1, 3), np.float32)
     arrivals = np.full(goals.shape[0], -1, np.int64)
-    mesh, gait, goals = uncounted(mesh), uncounted(gait), uncounted(goals)
-    held = (new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32), np.empty((3, 3), np.float32))
-    search, corners, places = uncounted(held)
+    held = (
+        new_search(mesh.poly_size.shape[0]),
+        new_step_memory(),
+        new_place(),
+        new_place(),
+        new_place(),
+        np.empty((2, MAX_POINTS, 3), np.float32),
+    )
+    search, memory, place, reached, goal, corners = uncounted(held)
     points, scratch = corners[0], corners[1]
-    point, reached, at = places[0], places[1], places[2]
-    point[:] = start
-    locations[0] = point
+    put(mesh, start, place)
+    locations[0] = start
     made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees again
     status = ARRIVED
     distance = ZERO
     for number in range(goals.shape[0]):
-        asked = goals[number]
-        poly, at[0], at[1], at[2] = nearest_polygon(mesh, asked[0], asked[1], asked[2], ANY_ISLAND)
-        goal = Goal(asked, poly, at)
-        distance, count = _remaining(mesh, search, point, goal, points)
+        put(mesh, goals[number], goal)
+        distance, count = _remaining(mesh, search, place, goal, points)
         if distance == INFINITE:
             status = NO_PATH
         plan = np.empty(0, np.int64)
@@ -345,7 +354,20 @@ def follow(
         while status == ARRIVED and distance > limits.stop_within:
             if taken == plan.shape[0]:
                 plan, after, known = _plan(
-                    mesh, search, gait, point, heading, points, count, distance, goal, limits, careful, scratch, reached
+                    mesh,
+                    search,
+                    memory,
+                    gait,
+                    place,
+                    heading,
+                    points,
+                    count,
+                    distance,
+                    goal,
+                    limits,
+                    careful,
+                    scratch,
+                    reached,
                 )
                 taken = 0
                 if plan.shape[0] == 0:
@@ -375,10 +397,11 @@ def follow(
                 points, scratch = scratch, points
                 known = 0
             else:
-                _try_heading(mesh, gait, point, heading, reached)
+                _try_heading(mesh, gait, place, heading, memory, reached)
                 distance, count = _remaining(mesh, search, reached, goal, points)
-            point[:] = reached
-            locations[walked] = point
+            place, reached = reached, place
+            for axis in range(3):
+                locations[walked, axis] = place.asked[axis]
         if status != ARRIVED:
             break
         arrivals[number] = walked
@@ -397,12 +420,19 @@ def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.i
     places = np.empty((actions.shape[0] + 1, 3), np.float32)
     facing = np.empty(actions.shape[0] + 1, np.int64)
     places[0], facing[0] = start, 0
+    held = (new_step_memory(), new_place(), new_place())
+    memory, place, reached = uncounted(held)
+    put(mesh, start, place)
     for i in range(actions.shape[0]):
-        places[i + 1], facing[i + 1] = places[i], facing[i]
+        facing[i + 1] = facing[i]
         if actions[i] == FORWARD:
-            _try_heading(mesh, gait, places[i], facing[i], places[i + 1])
+            _try_heading(mesh, gait, place, facing[i], memory, reached)
+            place, reached = reached, place
         elif actions[i] == LEFT:
             facing[i + 1] = (facing[i] + 1) % headings
         elif actions[i] == RIGHT:
             facing[i + 1] = (facing[i] - 1) % headings
+        for axis in range(3):
+            places[i + 1, axis] = place.asked[axis]
+    keep(held)
     return places, facing

@@ -6,10 +6,23 @@ thickness, and, if sliding is off, a stop at the first wall that the step hits.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined, keep, uncounted
-from condvln.navigation.kernels.astar import CLOSED, OPEN, Search, moved_up, new_search, place_at_edge, pop, push
+from condvln.navigation.kernels.astar import (
+    CLOSED,
+    OPEN,
+    Search,
+    edge_to,
+    moved_up,
+    new_search,
+    place_at_edge,
+    pop,
+    push,
+)
 from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, distance, inside_polygon, point_to_segment
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, height_on_polygon, nearest_polygon
@@ -22,11 +35,74 @@ PARALLEL = np.float32(1e-6)  # m²: segments with a smaller cross product don't 
 NUDGE = np.float32(1e-4)  # metres; habitat-sim moves points this far off an edge shared by two islands
 
 
+class Place(NamedTuple):
+    """A position and its projection onto the navmesh."""
+
+    asked: Floats
+    """(3,) as requested"""
+    at: Floats
+    """(3,) as projected"""
+    poly: Indices
+    """(1,) polygon of the projection"""
+
+
+class StepMemory(NamedTuple):
+    """Working memory of one thread for a step, which visits at most 64 polygons."""
+
+    polys: Indices
+    parent: Indices
+    closed: npt.NDArray[np.bool_]
+    queue: Indices
+    visited: Indices
+    """polygons that the step passes through"""
+    end: Floats
+    """(3,) where the step leads to"""
+
+
 @compiled
-def _passable(mesh: QueryMesh, poly: int, edge: int) -> int:
+def new_step_memory() -> StepMemory:
+    """Return empty working memory."""
+    return StepMemory(
+        np.empty(MAX_VISITED, np.int64),
+        np.empty(MAX_VISITED, np.int64),
+        np.empty(MAX_VISITED, np.bool_),
+        np.empty(MAX_VISITED, np.int64),
+        np.empty(MAX_VISITED, np.int64),
+        np.empty(3, np.float32),
+    )
+
+
+@compiled
+def new_place() -> Place:
+    """Return a place whose numbers are not set."""
+    return Place(np.empty(3, np.float32), np.empty(3, np.float32), np.empty(1, np.int64))
+
+
+@compiled
+def put(mesh: QueryMesh, point: Floats, place: Place) -> None:
+    """Set a place to a point (3,)."""
+    poly, x, y, z = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
+    place.poly[0], place.at[0], place.at[1], place.at[2] = poly, x, y, z
+    for axis in range(3):
+        place.asked[axis] = point[axis]
+
+
+@compiled
+def copy_place(source: Place, target: Place) -> None:
+    """Set a place to another one."""
+    for axis in range(3):
+        target.asked[axis] = source.asked[axis]
+        target.at[axis] = source.at[axis]
+    target.poly[0] = source.poly[0]
+
+
+@compiled
+def _passable(neighbours: Indices, walkable: npt.NDArray[np.uint8], poly: int, edge: int) -> int:
     """Return the walkable polygon across an edge, or -1."""
-    other = mesh.neighbours[poly, edge]
-    return int(other) if other >= 0 and mesh.walkable[other] else -1
+    other = int(neighbours[poly, edge])  # -1 for a wall
+    if walkable[max(other, 0)] == 0:
+        other = -1
+    return other
 
 
 @inlined
@@ -38,21 +114,17 @@ def _node_of(polys: Indices, count: int, poly: int) -> int:
 
 
 @inlined
-def move_along_surface(
-    mesh: QueryMesh, start_poly: int, start: Floats, end: Floats, reached: Floats, visited: Indices
-) -> int:
-    """Slide from ``start`` towards ``end``. Write the final position to ``reached`` and the polygons on the path to
-    ``visited``; return the number of these polygons.
+def move_along_surface(mesh: QueryMesh, start_poly: int, start: Floats, reached: Floats, memory: StepMemory) -> int:
+    """Slide from ``start`` towards ``memory.end``. Write the final position to ``reached`` and the polygons on the path
+    to ``memory.visited``; return the number of these polygons.
     """
-    polys = np.empty(MAX_VISITED, np.int64)
-    parent = np.empty(MAX_VISITED, np.int64)
-    closed = np.zeros(MAX_VISITED, np.bool_)
-    queue = np.empty(MAX_VISITED, np.int64)
+    polys, parent, closed, queue, end = memory.polys, memory.parent, memory.closed, memory.queue, memory.end
     polys[0], parent[0], closed[0], queue[0] = start_poly, -1, True, 0
     nodes, head, tail = int(ONE), 0, 1  # a literal would make numba compile the callees again
     best_node = -1
     best = GREATEST
-    reached[:] = start
+    for axis in range(3):
+        reached[axis] = start[axis]
     middle_x = start[0] + (end[0] - start[0]) * HALF
     middle_z = start[2] + (end[2] - start[2]) * HALF
     radius = distance(start[0], start[1], start[2], end[0], end[1], end[2]) / np.float32(2.0) + SEARCH_SLACK
@@ -63,14 +135,15 @@ def move_along_surface(
         poly = polys[node]
         if inside_polygon(mesh, poly, end[0], end[2]):
             best_node = node
-            reached[:] = end
+            for axis in range(3):
+                reached[axis] = end[axis]
             break
         size = mesh.poly_size[poly]
         edge = size - 1
         for following in range(size):
             a = mesh.verts[mesh.poly_verts[poly, edge]]
             b = mesh.verts[mesh.poly_verts[poly, following]]
-            other = _passable(mesh, poly, edge)
+            other = _passable(mesh.neighbours, mesh.walkable, poly, edge)
             if other < 0:
                 d, along = point_to_segment(end[0], end[2], a[0], a[2], b[0], b[2])
                 if d < best:
@@ -82,7 +155,7 @@ def move_along_surface(
                 next_node = _node_of(polys, nodes, other)
                 if next_node < 0 and nodes < MAX_VISITED:
                     next_node = nodes
-                    polys[nodes] = other
+                    polys[nodes], closed[nodes] = other, False
                     nodes += 1
                 if next_node >= 0 and not closed[next_node]:
                     d, _ = point_to_segment(middle_x, middle_z, a[0], a[2], b[0], b[2])
@@ -99,7 +172,7 @@ def move_along_surface(
         node = parent[node]
     node = best_node
     for i in range(count - 1, -1, -1):
-        visited[i] = polys[node]
+        memory.visited[i] = polys[node]
         node = parent[node]
     return count
 
@@ -139,33 +212,29 @@ def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices,
 
 
 @compiled
-def step(mesh: QueryMesh, start: Floats, end: Floats, sliding: bool, reached: Floats) -> None:
-    """Move from ``start`` towards ``end`` as habitat-sim's ``tryStep`` does, and write the final position to
+def step(mesh: QueryMesh, start: Place, sliding: bool, memory: StepMemory, reached: Place) -> None:
+    """Move from ``start`` towards ``memory.end`` as habitat-sim's ``tryStep`` does, and write the final position to
     ``reached``.
     """
-    start_at = np.empty(3, np.float32)
-    start_poly, start_at[0], start_at[1], start_at[2] = nearest_polygon(mesh, start[0], start[1], start[2], ANY_ISLAND)
+    copy_place(start, reached)
+    poly, end = start.poly[0], memory.end
     end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
-    reached[:] = start
-    if start_poly == NO_POLYGON or end_poly == NO_POLYGON:
-        return
-    island = mesh.island[start_poly]
-    if island != mesh.island[end_poly]:
-        return
-    visited = np.empty(MAX_VISITED, np.int64)
-    count = move_along_surface(mesh, start_poly, start_at, end, reached, visited)
-    if count == 0:
-        reached[:] = start
-        return
-    if not sliding:
-        _stop_at_wall(mesh, start_at, end, visited, count, reached)
-    last = visited[count - 1]
-    over, height = height_on_polygon(mesh, last, reached[0], reached[2])
-    if over:
-        reached[1] = height
-    poly, _, _, _ = nearest_polygon(mesh, reached[0], reached[1], reached[2], ANY_ISLAND)
-    if poly == NO_POLYGON or mesh.island[poly] != island:
-        _nudge_inwards(mesh, last, reached)
+    if poly != NO_POLYGON and end_poly != NO_POLYGON and mesh.island[poly] == mesh.island[end_poly]:
+        island = mesh.island[poly]
+        count = move_along_surface(mesh, poly, start.at, reached.asked, memory)
+        if count == 0:
+            copy_place(start, reached)
+        else:
+            if not sliding:
+                _stop_at_wall(mesh, start.at, end, memory.visited, count, reached.asked)
+            last = memory.visited[count - 1]
+            over, height = height_on_polygon(mesh, last, reached.asked[0], reached.asked[2])
+            if over:
+                reached.asked[1] = height
+            put(mesh, reached.asked, reached)
+            if reached.poly[0] == NO_POLYGON or mesh.island[reached.poly[0]] != island:
+                _nudge_inwards(mesh, last, reached.asked)
+                put(mesh, reached.asked, reached)
 
 
 @inlined
@@ -186,10 +255,17 @@ def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
 @compiled
 def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
     """Return the end points (n, 3) of n moves from ``starts`` towards ``ends``, each as :func:`step` gives it."""
-    mesh = uncounted(mesh)
     reached = np.empty((starts.shape[0], 3), np.float32)
+    mesh, held = uncounted(mesh), (new_step_memory(), new_place(), new_place())
+    memory, begin, place = uncounted(held)
     for i in range(starts.shape[0]):
-        step(mesh, starts[i], ends[i], sliding, reached[i])
+        put(mesh, starts[i], begin)
+        for axis in range(3):
+            memory.end[axis] = ends[i, axis]
+        step(mesh, begin, sliding, memory, place)
+        for axis in range(3):
+            reached[i, axis] = place.asked[axis]
+    keep(held)
     return reached
 
 
@@ -226,7 +302,7 @@ def nearest_wall(
         size = mesh.poly_size[poly]
         edge = size - 1
         for following in range(size):
-            if _passable(mesh, poly, edge) < 0:
+            if _passable(mesh.neighbours, mesh.walkable, poly, edge) < 0:
                 a = mesh.verts[mesh.poly_verts[poly, edge]]
                 b = mesh.verts[mesh.poly_verts[poly, following]]
                 d, along = point_to_segment(centre[0], centre[2], a[0], a[2], b[0], b[2])
@@ -236,7 +312,7 @@ def nearest_wall(
                         hit[axis] = a[axis] + (b[axis] - a[axis]) * along
             edge = following
         for edge in range(size):
-            other = _passable(mesh, poly, edge)
+            other = _passable(mesh.neighbours, mesh.walkable, poly, edge)
             if other < 0 or other == search.parent[poly]:
                 continue
             a = mesh.verts[mesh.poly_verts[poly, edge]]
@@ -247,7 +323,7 @@ def nearest_wall(
             if search.round[other] != this_round:
                 search.round[other] = this_round
                 search.state[other] = 0
-                place_at_edge(mesh, search, poly, other)
+                place_at_edge(mesh, search, poly, edge_to(mesh, poly, other), other)
             elif search.state[other] == CLOSED:
                 continue
             p, q = search.position[poly], search.position[other]
