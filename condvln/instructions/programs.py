@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from typing import Any, Final, TypeVar
 
 import orjson
@@ -18,7 +19,6 @@ __all__ = [
     "composition",
     "condition_document",
     "instruction_id",
-    "leaves_below",
     "move_document",
     "oracle_linear",
     "program_document",
@@ -110,7 +110,7 @@ def program_key(program: Program, parts: ProgramParts | None = None) -> str:
     text = (ProgramParts() if parts is None else parts).text
     leaves = [b",".join([text(move, move_document) for move in leaf.moves]) for leaf in program.leaves]
     whole = b'{"branches":%b,"category":%b,"conditions":[%b],"leaves":[%b]}' % (
-        orjson.dumps(branch_documents(program.branches), option=orjson.OPT_SORT_KEYS),
+        text(program.branches, branch_documents),
         orjson.dumps(program.category),
         b",".join([text(condition, _told) for condition in program.conditions]),
         b",".join([b'{"moves":[%b]}' % moves for moves in leaves]),
@@ -135,33 +135,41 @@ def instruction_id(family: str, scene_id: str, program: Program, parts: ProgramP
     return hashlib.sha256(key.encode()).hexdigest()[:ID_LENGTH]
 
 
-def leaves_below(program: Program, target: int) -> tuple[int, ...]:
-    """Return the indices of the leaves below `target`, the target of a branch. A `target` ≥ 0 is the index of a branch;
-    else `target` is ``-1 - leaf``.
-    """
-    if target < 0:
-        return (-1 - target,)
-    branch = program.branches[target]
-    return leaves_below(program, branch.then) + leaves_below(program, branch.otherwise)
-
-
 def composition(program: Program) -> Composition:
     """Return the composition class of a program: C0, C1 or C2.
 
     C0: only one room is named. C2: for some branch, the room of its condition, the rooms of the goals below THEN and
     those below ELSE are disjoint. C1: everything else.
     """
-    if len(program.rooms) == 1:
+    goals = [leaf.moves[-1].room.room_id for leaf in program.leaves]
+    asked = [condition.room.room_id for condition in program.conditions]
+    named = {*goals, *asked}
+    named.update([move.room.room_id for leaf in program.leaves for move in leaf.moves])
+    if len(named) == 1:
         return "C0"
-    for branch in program.branches:
-        asked = {program.conditions[branch.condition].room.room_id}
-        then, otherwise = (
-            {program.leaves[leaf].goal.room.room_id for leaf in leaves_below(program, target)}
-            for target in (branch.then, branch.otherwise)
-        )
-        if not (asked & then or asked & otherwise or then & otherwise):
+    for condition, below_then, below_else in _sides(program.branches):
+        room = asked[condition]
+        then, otherwise = {goals[k] for k in below_then}, {goals[k] for k in below_else}
+        if room not in then and room not in otherwise and then.isdisjoint(otherwise):
             return "C2"
     return "C1"
+
+
+def _leaves_below(branches: tuple[Branch, ...], target: int) -> tuple[int, ...]:
+    """Return the indices of the leaves below `target`, the target of a branch. A `target` ≥ 0 is the index of a branch;
+    else `target` is ``-1 - leaf``.
+    """
+    if target < 0:
+        return (-1 - target,)
+    branch = branches[target]
+    return _leaves_below(branches, branch.then) + _leaves_below(branches, branch.otherwise)
+
+
+@cache
+def _sides(branches: tuple[Branch, ...]) -> tuple[tuple[int, tuple[int, ...], tuple[int, ...]], ...]:
+    """Return for each branch its condition and the leaves below THEN and below ELSE."""
+    below = [tuple(_leaves_below(branches, to) for to in (one.then, one.otherwise)) for one in branches]
+    return tuple((one.condition, then, otherwise) for one, (then, otherwise) in zip(branches, below, strict=True))
 
 
 def oracle_linear(program: Program) -> tuple[ObjectRef, ...]:

@@ -368,14 +368,17 @@ class ProgramSampler:
             self._names[self.stop_sampler.rooms[room]][k]
             for room, k in zip(rooms, found.room_names.tolist()[: len(rooms)], strict=True)
         ]
+        # What the kernel draws needs no check of its types.
         leaves = tuple(
-            Leaf(moves=tuple([known.refs[k] for k in refs[:count]]))
-            for refs, count in zip(found.names.tolist(), shape.moves, strict=True)
+            [
+                Leaf.model_construct(moves=tuple([known.refs[k] for k in refs[:count]]))
+                for refs, count in zip(found.names.tolist(), shape.moves, strict=True)
+            ]
         )
-        goals = [leaf.goal.object_id for leaf in leaves]
+        goals = [leaf.moves[-1].object_id for leaf in leaves]
         if len(set(goals)) < len(goals) and idle_conditions(category, goals):
             raise GivenUp("idle_condition")
-        program = Program(
+        program = Program.model_construct(
             category=category,
             conditions=sampler.conditions(found.conditions.tolist(), truths, names),
             branches=SHAPES[category].branches,

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, register_warm_up
+from condvln.compiled import compiled, inlined, register_warm_up, uncounted
 from condvln.instructions.kernels.conditions import NOTHING, RULES, Given, StatementTables, draw_conditions
 from condvln.instructions.kernels.stops import (
     FAILURES,
@@ -356,6 +356,9 @@ def draw_program(
 
     room_of : (t,), the room of each target
     """
+    room_of, targets, names = uncounted(room_of), uncounted(targets), uncounted(names)
+    wanted, statements, found = uncounted(wanted), uncounted(statements), uncounted(found)
+    stream, left = uncounted(stream), uncounted(left)
     failed = 0
     while failed < tries and not left[1]:
         failed += draw_stops(
