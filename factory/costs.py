@@ -4,14 +4,17 @@ accurate earlier estimates were.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 
 from factory.index import Index
 from factory.machine import slowness
 from factory.pipeline import Pipeline
+from factory.scratch import batches
 from factory.unit import Unit
 
 __all__ = ["MEMORY_MARGIN", "PRIOR_SECONDS", "CostModel"]
@@ -37,35 +40,33 @@ class CostModel:
 
     def __init__(self, index: Index, pipeline: Pipeline, slowness: Callable[[], float] = slowness) -> None:
         self._slowness = slowness
+        self._index = index
         self._names = tuple(stage.name for stage in pipeline.stages)
-        self._spent = {name: _numbers(index, f"{name}.cpu_seconds") for name in self._names}
-        self._estimated = {name: _numbers(index, f"{name}.estimate") for name in self._names}
-        self._peak_rss: Any = np.zeros(len(index))
-        for name in self._names:
-            self._peak_rss = np.maximum(self._peak_rss, _numbers(index, f"{name}.peak_rss"))
-        self._sums: dict[str, dict[str, tuple[float, float]]] = {}
-        if len(index):
-            partitions, numbers = np.unique(index.table.column("partition").to_numpy(), return_inverse=True)
-            self._sums = {name: self._learned(name, [str(p) for p in partitions], numbers) for name in self._names}
+        self._sums: dict[str, dict[str, Any]] = {name: defaultdict(lambda: np.zeros(2)) for name in self._names}
+        for _, batch in batches(index.table, [name for name in index.table.column_names if _counts(name)]):
+            self._learn(batch)
         self._scales: dict[tuple[str, str], float] = {}
 
-    def _learned(self, stage: str, partitions: list[str], numbers: Any) -> dict[str, tuple[float, float]]:
-        """Return, by partition, (measured CPU seconds, estimated CPU seconds) of a stage, summed over the units of the
-        partition. Under the key '' are the sums over all partitions.
+    def _learn(self, batch: pa.RecordBatch) -> None:
+        """Add measured CPU seconds and estimated CPU seconds of each stage to the sums of the units' partitions, and to
+        those over all partitions, under the key ''.
         """
-        spent, estimated = self._spent[stage], self._estimated[stage]
-        both = (spent > 0) & (estimated > 0)
-        sums = {"": (float(spent[both].sum()), float(estimated[both].sum()))}
-        took = np.bincount(numbers[both], spent[both], len(partitions))
-        said = np.bincount(numbers[both], estimated[both], len(partitions))
-        return sums | {p: (float(t), float(s)) for p, t, s in zip(partitions, took, said, strict=True)}
+        partitions, numbers = np.unique(batch.column("partition").to_numpy(zero_copy_only=False), return_inverse=True)
+        for name in self._names:
+            spent, estimated = _numbers(batch, f"{name}.cpu_seconds"), _numbers(batch, f"{name}.estimate")
+            both = (spent > 0) & (estimated > 0)
+            self._sums[name][""] += spent[both].sum(), estimated[both].sum()
+            took = np.bincount(numbers[both], spent[both], len(partitions))
+            said = np.bincount(numbers[both], estimated[both], len(partitions))
+            for partition, *both_sums in zip(partitions, took, said, strict=True):
+                self._sums[name][str(partition)] += both_sums
 
     def _scale(self, stage: str, partition: str) -> float:
         known = self._scales.get((stage, partition))
         if known is None:
             known = self._slowness()
             for group in ("", partition):
-                took, said = self._sums.get(stage, {}).get(group, (0.0, 0.0))
+                took, said = map(float, self._sums[stage].get(group, (0.0, 0.0)))
                 known = (took + PRIOR_SECONDS * known) / (said + PRIOR_SECONDS)
             self._scales[stage, partition] = known
         return known
@@ -73,9 +74,9 @@ class CostModel:
     def stage_seconds(self, unit: Unit, row: int, stage: str) -> float:
         """Return the expected CPU seconds of one stage. ``row`` is the unit's row in the published index, or -1."""
         estimate = unit.costs.get(stage, 0.0)
-        spent = float(self._spent[stage][row]) if row >= 0 else 0.0
+        spent = self._number(row, f"{stage}.cpu_seconds")
         if spent > 0:
-            before = float(self._estimated[stage][row])
+            before = self._number(row, f"{stage}.estimate")
             return spent * estimate / before if before > 0 and estimate > 0 else spent
         return estimate * self._scale(stage, unit.partition) if estimate > 0 else 0.0
 
@@ -87,13 +88,21 @@ class CostModel:
         """Return the expected peak memory of a unit in bytes: the peak measured when the unit was last made, with a
         margin, else the unit's own estimate.
         """
-        if row >= 0 and self._peak_rss[row] > 0:
-            return int(MEMORY_MARGIN * self._peak_rss[row])
-        return unit.memory
+        peak = max(self._number(row, f"{name}.peak_rss") for name in self._names)
+        return int(MEMORY_MARGIN * peak) if peak > 0 else unit.memory
+
+    def _number(self, row: int, column: str) -> float:
+        """Return a value of the unit in ``row``; 0 where there is none."""
+        found = self._index.value(row, column) if row >= 0 else None
+        return 0.0 if found is None or found != found else float(found)
 
 
-def _numbers(index: Index, column: str) -> Any:
+def _counts(column: str) -> bool:
+    return column == "partition" or column.endswith((".cpu_seconds", ".estimate"))
+
+
+def _numbers(batch: pa.RecordBatch, column: str) -> Any:
     """Return a column as (rows,) float64, with 0 where it is null or missing."""
-    if column not in index.table.column_names:
-        return np.zeros(len(index))
-    return np.nan_to_num(index.table.column(column).to_numpy().astype(float))
+    if column not in batch.schema.names:
+        return np.zeros(batch.num_rows)
+    return np.nan_to_num(batch.column(column).to_numpy(zero_copy_only=False).astype(float))

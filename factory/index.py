@@ -13,16 +13,21 @@ where it did not run); for each table ``<stage>/<table>.hash .rows .bytes``; of 
 from __future__ import annotations
 
 import hashlib
+import tempfile
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final
+from functools import cached_property
+from typing import Any, BinaryIO, Final
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from factory.pipeline import Pipeline
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
+from factory.scratch import BATCH_ROWS, Scratch, batches, let_go
 from factory.store import Store
 from schemas.errors import CorruptShardError
 
@@ -51,8 +56,12 @@ _STAGE_FIELDS: Final = (
     ("estimate", pa.float32()),
     ("stored", pa.int64()),
 )
-_BATCH: Final = 4096
+_BATCH: Final = 1024
 """Number of receipts that are converted to columns at a time."""
+_PIECE: Final = BATCH_ROWS // 4
+"""Most rows that are merged at a time."""
+_CHUNK: Final = 1 << 20
+"""Bytes of a file that are hashed at a time."""
 _REBUILD: Final = "Run condvln rebuild CONFIG, which writes the index again."
 
 
@@ -103,63 +112,153 @@ def _row(receipt: Receipt) -> dict[str, Any]:
 
 
 class IndexWriter:
-    """Converts receipts to columns, a batch at a time."""
+    """Converts receipts to columns, and sorts them by unit id: sorted runs go to disk and are merged at the end."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._schema = index_schema(pipeline)
         self._pending: list[dict[str, Any]] = []
-        self._batches: list[pa.RecordBatch] = []
+        self._run: list[pa.RecordBatch] = []
+        self._runs = Scratch(self._schema)
 
     def add(self, receipt: Receipt) -> None:
         """Add one finished unit."""
         self._pending.append(_row(receipt))
         if len(self._pending) >= _BATCH:
             self._flush()
+            if len(self._run) * _BATCH >= BATCH_ROWS:
+                self._end_run()
 
     def _flush(self) -> None:
         columns = [pa.array([row.get(f.name) for row in self._pending], type=f.type) for f in self._schema]
-        self._batches.append(pa.record_batch(columns, schema=self._schema))
+        self._run.append(pa.record_batch(columns, schema=self._schema))
         self._pending.clear()
 
-    def finish(self, carried: pa.Table | None) -> pa.Table:
+    def _end_run(self) -> None:
+        self._runs.write(_sorted(self._run))
+        self._run.clear()
+
+    def finish(self, carried: pa.Table | None, kept: npt.NDArray[np.bool_] | None = None) -> pa.Table:
         """Return one table, sorted by unit id, of all added units and the rows of ``carried``, which are taken over
         from an older index.
+
+        kept : (rows of ``carried``,) which of its rows are taken over; all by default
         """
         if self._pending:
             self._flush()
-        whole = pa.Table.from_batches(self._batches, schema=self._schema)
-        self._batches = []
-        if carried is not None and carried.num_rows:
-            whole = pa.concat_tables([whole, _conformed(carried, self._schema)])
-        order = pc.sort_indices(whole.select(["unit_id"]), sort_keys=[("unit_id", "ascending")])
-        # Column by column, so that the unsorted and the sorted table are never both there as a whole.
-        columns = []
-        for name in whole.column_names:
-            columns.append(whole.column(name).take(order))
-            whole = whole.drop_columns([name])
-        return pa.table(columns, schema=self._schema)
+        if self._run:
+            self._end_run()
+        runs = [iter([run]) for run in self._runs.table().to_batches()]
+        if carried is not None:
+            runs.append(_carried(carried, kept, self._schema))
+        whole = Scratch(self._schema)
+        held: list[pa.RecordBatch] = []
+        rows = 0
+        for piece in _merged(runs):
+            held.append(piece)
+            rows += piece.num_rows
+            while rows >= BATCH_ROWS:
+                joined = _joined(held)
+                whole.write(joined.slice(0, BATCH_ROWS))
+                held = [joined.slice(BATCH_ROWS)]
+                rows -= BATCH_ROWS
+                let_go()
+        if rows:
+            whole.write(_joined(held))
+        return whole.table()
 
 
-def _conformed(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return ``table`` with exactly the columns of ``schema``. Columns that ``table`` lacks (those of a new stage, for
+def _joined(parts: Sequence[pa.RecordBatch]) -> pa.RecordBatch:
+    return parts[0] if len(parts) == 1 else pa.concat_batches(parts)
+
+
+def _sorted(parts: Sequence[pa.RecordBatch]) -> pa.RecordBatch:
+    """Return the rows of sorted or unsorted batches in the order of their unit ids."""
+    whole = _joined(parts)
+    return whole.take(pc.sort_indices(whole.column("unit_id")))
+
+
+def _carried(table: pa.Table, kept: npt.NDArray[np.bool_] | None, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    for start, batch in batches(table):
+        rows = batch if kept is None else batch.filter(pa.array(kept[start : start + batch.num_rows]))
+        yield _conformed(rows, schema)
+
+
+class _Run:
+    """A sorted stream of batches that is being merged: its current batch, and how many rows of it are gone."""
+
+    def __init__(self, stream: Iterator[pa.RecordBatch]) -> None:
+        self._stream = stream
+        self._batch: pa.RecordBatch | None = None
+        self._at = 0
+        self.first = ""
+
+    def fill(self) -> bool:
+        """Make sure that rows are left; return whether there are any."""
+        while self._batch is None or self._at == self._batch.num_rows:
+            self._batch, self._at = next(self._stream, None), 0
+            if self._batch is None:
+                return False
+        self.first = self._id(self._at)
+        return True
+
+    def _id(self, row: int) -> str:
+        assert self._batch is not None
+        found: str = self._batch.column(0)[row].as_py()
+        return found
+
+    def last(self, window: int) -> str:
+        """Return the last id of the next ``window`` rows."""
+        assert self._batch is not None
+        return self._id(min(self._at + window, self._batch.num_rows) - 1)
+
+    def take(self, bound: str, window: int) -> pa.RecordBatch:
+        """Remove and return those of the next ``window`` rows whose ids are not above ``bound``."""
+        assert self._batch is not None
+        start, stop = self._at, min(self._at + window, self._batch.num_rows)
+        self._at = bisect_right(range(stop), bound, start, key=self._id)
+        return self._batch.slice(start, self._at - start)
+
+
+def _merged(streams: Iterable[Iterator[pa.RecordBatch]]) -> Iterator[pa.RecordBatch]:
+    """Merge sorted streams of batches into one, at most ``_PIECE`` rows (or one of each stream) at a time.
+
+    Of each stream a window of rows is looked at; what is not above the end of any window is next.
+    """
+    runs = [run for run in map(_Run, streams) if run.fill()]
+    while runs:
+        due: Sequence[_Run] = ()
+        for _ in range(2):  # the second time with windows for those streams that have any of the next rows
+            window = max(_PIECE // max(len(due), 1), 1)
+            bound = min(run.last(window) for run in runs)
+            due = [run for run in runs if run.first <= bound]
+        parts = [run.take(bound, window) for run in due]
+        yield parts[0] if len(parts) == 1 else _sorted(parts)
+        gone = {run for run in due if not run.fill()}
+        runs = [run for run in runs if run not in gone]
+
+
+def _conformed(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """Return ``batch`` with exactly the columns of ``schema``. Columns that ``batch`` lacks (those of a new stage, for
     example) are null.
     """
+    known = set(batch.schema.names)
     columns = [
-        table.column(f.name).cast(f.type) if f.name in table.column_names else pa.nulls(table.num_rows, f.type)
-        for f in schema
+        batch.column(f.name).cast(f.type) if f.name in known else pa.nulls(batch.num_rows, f.type) for f in schema
     ]
-    return pa.table(columns, schema=schema)
+    return pa.record_batch(columns, schema=schema)
 
 
 def failed_keys(index: pa.Table) -> set[tuple[str, str]]:
     """Return (stage, key) of the quarantined units of an index."""
-    failed = pc.equal(index.column("status"), "quarantined")
-    rows = index.select(["failure.stage", "failure.key"]).filter(failed).to_pylist()
-    return {(row["failure.stage"], row["failure.key"].hex()) for row in rows}
+    found = set()
+    for _, batch in batches(index, ["status", "failure.stage", "failure.key"]):
+        failed = batch.filter(pc.equal(batch.column("status"), "quarantined"))
+        found |= {(row["failure.stage"], row["failure.key"].hex()) for row in failed.to_pylist()}
+    return found
 
 
 class Index:
-    """An index in memory: whole columns, and single units by id.
+    """An index: its table, which stands in a temporary file where it is long, and single units by id.
 
     damaged : it stands in for one that is missing or damaged
     """
@@ -167,11 +266,8 @@ class Index:
     def __init__(self, table: pa.Table, *, damaged: bool = False) -> None:
         self.table = table
         self.damaged = damaged
-        ids = table.column("unit_id").combine_chunks() if table.num_rows else pa.array([], pa.string())
-        self._ids = ids.chunk(0) if isinstance(ids, pa.ChunkedArray) else ids
-        self._hashes = id_hashes(self._ids.to_pylist()) if len(self._ids) else np.zeros(0, np.uint64)
-        self._order = np.argsort(self._hashes, kind="stable")
-        self._sorted = self._hashes[self._order]
+        self._batches = table.to_batches(max_chunksize=BATCH_ROWS)
+        self._starts = np.cumsum([0, *(batch.num_rows for batch in self._batches)])
 
     @classmethod
     def empty(cls, pipeline: Pipeline, *, damaged: bool = False) -> Index:
@@ -188,62 +284,105 @@ class Index:
         """Read an index. Raises ``CorruptShardError`` when it is gone or differs from its hash."""
         path = f"{store.url}/{cls.path(hash_)}"
         try:
-            data = store.read(cls.path(hash_))
+            file = store.open(cls.path(hash_))
         except FileNotFoundError as error:
             raise CorruptShardError("the unit index is missing", where=path, remedy=_REBUILD) from error
-        if hashlib.sha256(data).hexdigest()[:32] != hash_:
-            raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
-        # Without threads: those of Arrow may still end while the interpreter does, and abort the process then.
-        table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
-        if not set(_UNIT_FIELDS) <= set(table.column_names):
-            raise CorruptShardError("the unit index is of another version", where=path, remedy=_REBUILD)
-        return cls(table)
+        with file:
+            if _hash_of(file) != hash_:
+                raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
+            parquet = pq.ParquetFile(file)
+            if not set(_UNIT_FIELDS) <= set(parquet.schema_arrow.names):
+                raise CorruptShardError("the unit index is of another version", where=path, remedy=_REBUILD)
+            scratch = Scratch(parquet.schema_arrow)
+            # Without threads: those of Arrow may still end while the interpreter does, and abort the process then.
+            for batch in parquet.iter_batches(BATCH_ROWS, use_threads=False):
+                scratch.write(batch)
+        return cls(scratch.table())
 
     @staticmethod
     def write(store: Store, table: pa.Table) -> str:
         """Write an index; return the hash that names it."""
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="zstd", compression_level=1, row_group_size=131_072)
-        data = sink.getvalue()
-        found = hashlib.sha256(data).hexdigest()[:32]
-        # Not create(): one of this name that is damaged must not stay.
-        store.write(Index.path(found), data)
+        with tempfile.TemporaryFile() as file:
+            with pq.ParquetWriter(file, table.schema, compression="zstd", compression_level=1) as writer:
+                for _, batch in batches(table):
+                    writer.write_table(pa.Table.from_batches([batch]), row_group_size=BATCH_ROWS)
+                if not table.num_rows:
+                    writer.write_table(table)
+            found = _hash_of(file)
+            # Not create(): one of this name that is damaged must not stay.
+            store.write(Index.path(found), file)
         return found
 
     def __len__(self) -> int:
         return int(self.table.num_rows)
 
-    def rows_of(self, unit_ids: Sequence[str]) -> Any:
+    @cached_property
+    def _ranked(self) -> npt.NDArray[np.uint64]:
+        """The first bits of each id's hash, and its row in the others, in order: eight bytes a unit."""
+        ranked = np.empty(len(self), np.uint64)
+        for start, batch in batches(self.table, ["unit_id"]):
+            ranked[start : start + batch.num_rows] = id_hashes(batch.column(0).to_pylist())
+        ranked &= ~self._row_bits
+        ranked |= np.arange(len(self), dtype=np.uint64)
+        ranked.sort()
+        return ranked
+
+    @property
+    def _row_bits(self) -> np.uint64:
+        return np.uint64((1 << len(self).bit_length()) - 1)
+
+    def rows_of(self, unit_ids: Sequence[str]) -> npt.NDArray[np.int64]:
         """Return the row number of each unit id, as (n,) int64; -1 for ids that are not in the index."""
+        rows = np.full(len(unit_ids), -1, np.int64)
         if not len(self):
-            return np.full(len(unit_ids), -1, np.int64)
-        wanted = id_hashes(unit_ids)
-        place = np.minimum(np.searchsorted(self._sorted, wanted), len(self._sorted) - 1)
-        rows = self._order[place].astype(np.int64)
-        rows[self._sorted[place] != wanted] = -1
-        # 64 bits could fall together; a wrong row must never be taken for the right one.
-        found = np.nonzero(rows >= 0)[0]
-        for at, unit_id in zip(found.tolist(), self._ids.take(pa.array(rows[found])).to_pylist(), strict=True):
-            if unit_id != unit_ids[at]:
-                rows[at] = self._search(unit_ids[at])
-        return rows
+            return rows
+        wanted = id_hashes(unit_ids) & ~self._row_bits
+        place = np.searchsorted(self._ranked, wanted)
+        asked = np.arange(len(unit_ids))
+        while True:
+            # Hashes may fall together; a wrong row must never be taken for the right one.
+            asked = asked[place[asked] < len(self)]
+            found = self._ranked[place[asked]]
+            alike = (found & ~self._row_bits) == wanted[asked]
+            asked, found = asked[alike], (found[alike] & self._row_bits).astype(np.int64)
+            if not len(asked):
+                return rows
+            ids = self.take(found, ["unit_id"]).column(0).to_pylist()
+            same = np.array([unit_ids[at] == unit_id for at, unit_id in zip(asked.tolist(), ids, strict=True)])
+            rows[asked[same]] = found[same]
+            asked = asked[~same]
+            place[asked] += 1
 
-    def _search(self, unit_id: str) -> int:
-        return int(pc.index(self._ids, unit_id).as_py())
+    def take(self, rows: npt.NDArray[np.int64], columns: Sequence[str]) -> pa.Table:
+        """Return some columns of the given rows, in their order."""
+        order = np.argsort(rows, kind="stable")
+        ranked = rows[order]
+        cuts = np.searchsorted(ranked, self._starts)
+        parts = [self.table.schema.empty_table().select(list(columns)).combine_chunks()]
+        for at in np.flatnonzero(np.diff(cuts)).tolist():
+            there = pa.array(ranked[cuts[at] : cuts[at + 1]] - self._starts[at])
+            parts.append(pa.table(self._batches[at].select(list(columns)).take(there)))
+        back = np.empty_like(order)
+        back[order] = np.arange(len(order))
+        return pa.concat_tables(parts).combine_chunks().take(pa.array(back))
 
-    def fingerprints(self) -> list[bytes]:
-        """Return the fingerprint of every row."""
-        found: list[bytes] = self.table.column("fingerprint").to_pylist()
-        return found
+    def value(self, row: int, column: str) -> Any:
+        """Return one value; None where the index has no such column."""
+        batch, at = self._place(row)
+        return batch.column(column)[at].as_py() if column in self._names else None
 
-    def statuses(self) -> list[str]:
-        """Return the status of every row."""
-        found: list[str] = self.table.column("status").to_pylist()
-        return found
+    @cached_property
+    def _names(self) -> frozenset[str]:
+        return frozenset(self.table.column_names)
+
+    def _place(self, row: int) -> tuple[pa.RecordBatch, int]:
+        number = int(np.searchsorted(self._starts, row, "right")) - 1
+        return self._batches[number], row - int(self._starts[number])
 
     def receipt(self, row: int, pipeline: Pipeline) -> Receipt:
         """Return the receipt of the unit in ``row``. Stages that are no longer in ``pipeline`` are left out."""
-        values = self.table.slice(row, 1).to_pylist()[0]
+        batch, at = self._place(row)
+        values = batch.slice(at, 1).to_pylist()[0]
         stages = []
         for stage in pipeline.stages:
             if values.get(f"{stage.name}.key") is None:
@@ -279,7 +418,10 @@ class Index:
 
     def receipts(self, rows: Iterable[int], pipeline: Pipeline) -> Iterator[Receipt]:
         """Return the receipts of the units in `rows`; see `receipt`."""
-        return (self.receipt(row, pipeline) for row in rows)
+        for number, row in enumerate(rows):
+            yield self.receipt(row, pipeline)
+            if number % BATCH_ROWS == 0:
+                let_go()
 
 
 def id_hashes(unit_ids: Sequence[str]) -> Any:
@@ -288,3 +430,13 @@ def id_hashes(unit_ids: Sequence[str]) -> Any:
         hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest() for text in unit_ids
     )
     return np.frombuffer(joined, np.uint64).copy()
+
+
+def _hash_of(file: BinaryIO) -> str:
+    """Return the first half of a file's SHA-256."""
+    state = hashlib.sha256()
+    file.seek(0)
+    while data := file.read(_CHUNK):
+        state.update(data)
+    file.seek(0)
+    return state.hexdigest()[:32]

@@ -8,16 +8,18 @@ where the file is read, and by a run with ``verify``.
 from __future__ import annotations
 
 import os
+import tempfile
+import weakref
 from collections.abc import Iterator
 from itertools import islice
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
 from factory.commits import UNIT_FILE, Commits
 from factory.index import Index
+from factory.scratch import batches
 from factory.snapshot import manifest_path, read_manifest, read_ref
 from factory.store import Store
 
@@ -25,6 +27,12 @@ __all__ = ["Inventory", "glance", "missing_parts"]
 
 _BATCH: Final = 8192
 """Number of folders that are compared with the index at a time."""
+
+SHARES: Final = 16
+"""Number of shares into which keys are divided to be compared."""
+
+_ROW: Final = [("high", "<u8"), ("low", "<u8"), ("row", "<i8"), ("stored", "<i8")]
+_FOLDER: Final = [("high", "<u8"), ("low", "<u8"), ("bytes", "<i8")]
 
 FOLDERS_LOOKED_INTO: Final = 10_000
 """Number of unit folders up to which a glance lists every file (about 0.2 s). Beyond, it looks only at their parent
@@ -47,7 +55,7 @@ class Inventory:
         for name in index.table.column_names:
             stage, _, last = name.rpartition(".")
             if last == "key" and stage != "failure":
-                self._lost[stage] = _lost(commits, index.table, stage)
+                self._lost[stage] = _lost(commits, index, stage)
                 self.whole &= ~self._lost[stage]
 
     def lost(self, stage: str, row: int) -> bool:
@@ -55,37 +63,74 @@ class Inventory:
         return stage in self._lost and bool(self._lost[stage][row])
 
 
-def _lost(commits: Commits, table: pa.Table, stage: str) -> npt.NDArray[np.bool_]:
-    """Return for each row of ``table``, as (rows,) bool, whether any file that the stage made for the row's unit is
+def _lost(commits: Commits, index: Index, stage: str) -> npt.NDArray[np.bool_]:
+    """Return for each row of ``index``, as (rows,) bool, whether any file that the stage made for the row's unit is
     missing or truncated.
     """
-    column = table.column(f"{stage}.key").combine_chunks()
-    column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
-    made: npt.NDArray[np.bool_] = column.is_valid().to_numpy(zero_copy_only=False)
-    if not made.any():
-        return made
-    raw = np.frombuffer(column.buffers()[1], ">u8", count=2 * len(column), offset=16 * column.offset)
-    halves = raw.reshape(-1, 2).astype(np.uint64)
-    stored = np.full(len(column), -1, np.int64)
-    if f"{stage}.stored" in table.column_names:
-        stored = table.column(f"{stage}.stored").fill_null(-1).to_numpy()
-    order = np.argsort(halves[:, 0], kind="stable")
-    ranked = halves[order, 0]
-    # -1: no commit is there.
-    found = np.full(len(column), -1, np.int64)
+    lost = np.zeros(len(index), dtype=bool)
+    rows, folders = _Shares(_ROW), _Shares(_FOLDER)
+    sizes = [name for name in (f"{stage}.stored",) if name in index.table.column_names]
+    for start, batch in batches(index.table, [f"{stage}.key", *sizes]):
+        column = batch.column(0)
+        made = np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False))
+        raw = np.frombuffer(column.buffers()[1], ">u8", count=2 * len(column), offset=16 * column.offset)
+        stored = batch.column(1).fill_null(-1).to_numpy() if sizes else np.full(len(column), -1)
+        rows.add(raw.reshape(-1, 2)[made], start + made, stored[made])
+    if not len(rows):
+        return lost
     stream = _unit_folders(commits.store, stage)
-    while batch := [*islice(stream, _BATCH)]:
-        keys = np.frombuffer(b"".join(key for key, _ in batch), ">u8").reshape(-1, 2).astype(np.uint64)
-        place = np.minimum(np.searchsorted(ranked, keys[:, 0]), len(ranked) - 1)
-        rows = order[place]
-        known = (halves[rows] == keys).all(axis=1)
-        found[rows[known]] = np.fromiter((size for _, size in batch), np.int64, len(batch))[known]
-    lost: npt.NDArray[np.bool_] = made & (found < 0)
+    while found := [*islice(stream, _BATCH)]:
+        keys = np.frombuffer(b"".join(key for key, _ in found), ">u8").reshape(-1, 2)
+        folders.add(keys, np.fromiter((size for _, size in found), np.int64, len(found)))
+    doubtful: list[int] = []
+    for ours, theirs in zip(rows, folders, strict=True):
+        theirs.sort(order="high")
+        place = np.searchsorted(theirs["high"], ours["high"])
+        there = place < len(theirs)
+        place[~there] = 0
+        if len(theirs):
+            there &= (theirs["high"][place] == ours["high"]) & (theirs["low"][place] == ours["low"])
+            differs = there & (ours["stored"] >= 0) & (theirs["bytes"][place] != ours["stored"])
+            doubtful += ours["row"][differs].tolist()
+        lost[ours["row"][~there]] = True
     # Another size may be due to a file that a person put there: the commit itself decides. Where an older version
     # wrote the index, sizes are not known, and the presence of the commit must do.
-    for row in np.nonzero(made & (found >= 0) & (stored >= 0) & (found != stored))[0].tolist():
-        lost[row] = commits.find(stage, column[row].as_py().hex(), discard=False) is None
+    for row in sorted(doubtful):
+        lost[row] = commits.find(stage, index.value(row, f"{stage}.key").hex(), discard=False) is None
     return lost
+
+
+class _Shares:
+    """Records of 16-byte keys, divided by the first bits of their keys, which are as good as random: two sets are
+    compared share by share, so that neither is in memory as a whole.
+    """
+
+    def __init__(self, dtype: list[tuple[str, str]]) -> None:
+        self._dtype = np.dtype(dtype)
+        self._files: list[Any] = []
+        for _ in range(SHARES):
+            self._files.append(tempfile.SpooledTemporaryFile(max_size=1 << 17))  # noqa: SIM115 - closed with this object
+            weakref.finalize(self, self._files[-1].close)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, keys: npt.NDArray[Any], *columns: npt.NDArray[Any]) -> None:
+        """Add records: keys as (n, 2) big-endian halves, and (n,) columns."""
+        records = np.empty(len(keys), self._dtype)
+        for name, column in zip(self._dtype.names or (), (keys[:, 0], keys[:, 1], *columns), strict=True):
+            records[name] = column
+        share = records["high"] // np.uint64(2**64 // SHARES)
+        for number in np.unique(share).tolist():
+            self._files[number].write(records[share == number].tobytes())
+        self._count += len(records)
+
+    def __iter__(self) -> Iterator[npt.NDArray[Any]]:
+        """Yield the records of each share."""
+        for file in self._files:
+            file.seek(0)
+            yield np.frombuffer(bytearray(file.read()), self._dtype)
 
 
 def _unit_folders(store: Store, stage: str) -> Iterator[tuple[bytes, int]]:

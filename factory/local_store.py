@@ -10,7 +10,7 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from factory.store import Entry, token_of
 from schemas.errors import PathEscapeError, PublishConflictError, StoreError
@@ -52,6 +52,10 @@ class LocalStore:
     def read(self, path: str) -> bytes:
         with self._errors(path):
             return self._at(path).read_bytes()
+
+    def open(self, path: str) -> BinaryIO:
+        with self._errors(path):
+            return open(self._at(path), "rb")
 
     def exists(self, path: str) -> bool:
         return self._at(path).is_file()
@@ -179,7 +183,11 @@ class LocalStore:
                     raise
         try:
             with handle:
-                handle.write(data)
+                if hasattr(data, "read"):
+                    data.seek(0)
+                    shutil.copyfileobj(data, handle, 1 << 20)
+                else:
+                    handle.write(data)
                 handle.flush()
                 if self.durable:
                     os.fsync(handle.fileno())

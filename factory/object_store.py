@@ -13,10 +13,12 @@ from __future__ import annotations
 import contextlib
 import functools
 import secrets
+import shutil
+import tempfile
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 from urllib.parse import parse_qs, urlsplit
 
 from factory.store import Entry, token_of
@@ -112,6 +114,16 @@ class ObjectStore:
     def read(self, path: str) -> bytes:
         return self._get(path)[0]
 
+    def open(self, path: str) -> BinaryIO:
+        with self._errors(path), contextlib.ExitStack() as failed:
+            copy = failed.enter_context(tempfile.TemporaryFile())
+            answer = self._client.get_object(Bucket=self.bucket, Key=self._key(path))
+            with answer["Body"] as body:
+                shutil.copyfileobj(body, copy, 1 << 20)
+            copy.seek(0)
+            failed.pop_all()
+            return copy
+
     def _get(self, path: str) -> tuple[bytes, str]:
         """Return (bytes, etag) of an object."""
         with self._errors(path):
@@ -132,7 +144,11 @@ class ObjectStore:
     def write(self, path: str, data: Any, *, settle: bool = True) -> None:
         key = self._key(path)
         with self._errors(path):
-            self._client.put_object(Bucket=self.bucket, Key=key, Body=bytes(data))
+            if hasattr(data, "read"):
+                data.seek(0)
+            else:
+                data = bytes(data)
+            self._client.put_object(Bucket=self.bucket, Key=key, Body=data)
 
     def create(self, path: str, data: Any) -> bool:
         self._prove()

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +23,7 @@ from factory.commits import Commits
 from factory.faults import FaultPlan
 from factory.pipeline import Pipeline, TableSpec
 from factory.rows import ROW_GROUP_ROWS, ZSTD_LEVEL, concatenated, parquet_bytes, schema_hash
+from factory.spool import Spool
 from factory.store import Store
 from schemas.canonical import digest
 from schemas.errors import CorruptShardError
@@ -29,14 +31,16 @@ from schemas.snapshot import PartRecord
 
 __all__ = [
     "PART_BYTES",
+    "Members",
     "PackJob",
     "Packed",
     "bucket_count",
     "buckets",
-    "content_hash",
+    "content_of",
+    "hash_members",
     "in_threads",
-    "members_hash",
     "pack",
+    "size",
 ]
 
 PART_BYTES: Final = 128 * 1024 * 1024
@@ -45,14 +49,39 @@ PART_BYTES: Final = 128 * 1024 * 1024
 READERS: Final = 16
 """Number of requests to an object store at once while packing: each takes some tens of milliseconds and no CPU."""
 
+SHARES: Final = 16
+"""Number of shares in which the members of many buckets stand on disk."""
+
 _BATCH: Final = 8192
+
+
+class Members:
+    """Units whose rows belong together: columns unit_id, stage, key, hash, bytes; one row for each unit and stage with
+    rows, by unit id.
+
+    tables : called for each pass over them; in another process they are in memory
+    """
+
+    def __init__(self, tables: Callable[[], Iterable[pa.Table]]) -> None:
+        self._tables = tables
+
+    def __iter__(self) -> Iterator[pa.Table]:
+        return iter(self._tables())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Members.of, ([*self],)
+
+    @classmethod
+    def of(cls, tables: Sequence[pa.Table]) -> Members:
+        """Return members that are in memory."""
+        return cls(lambda: tables)
 
 
 @dataclass(frozen=True, slots=True)
 class PackJob:
     """A file of a published table that is to be written, and the rows that belong in the file.
 
-    members : columns unit_id, stage, key, hash, bytes; one row for each unit and stage with rows in it, by unit id
+    logical_bytes : canonical bytes of all members
     """
 
     table: str
@@ -60,12 +89,8 @@ class PackJob:
     bucket: int
     path: str
     content: str
-    members: pa.Table
-
-    @property
-    def logical_bytes(self) -> int:
-        """Return the total number of canonical bytes of all members."""
-        return int(pc.sum(self.members.column("bytes")).as_py() or 0)
+    members: Members
+    logical_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,38 +103,59 @@ class Packed:
     damaged: tuple[str, ...] = ()
 
 
-def buckets(members: pa.Table, part_bytes: int) -> Iterator[tuple[int, pa.Table]]:
-    """Divide the ``members`` of one table and partition into buckets; yield (number, members) of each bucket that is
-    not empty. If there are no rows at all, yield one empty bucket.
+def buckets(members: Members, count: int) -> Iterator[tuple[int, Members]]:
+    """Divide the ``members`` of one table and partition into ``count`` buckets; yield (number, members) of each bucket
+    that is not empty. A single bucket is yielded in any case.
     """
-    count = bucket_count(members, part_bytes)
     if count == 1:
         yield 0, members
         return
-    numbers = np.fromiter(
-        (zlib.crc32(unit_id.encode()) % count for (unit_id,) in _rows(members, "unit_id")), np.int64, members.num_rows
-    )
-    order = np.argsort(numbers, kind="stable")
-    starts = np.searchsorted(numbers[order], np.arange(count + 1))
-    for bucket in range(count):
-        share = order[starts[bucket] : starts[bucket + 1]]
-        if len(share):
-            yield bucket, members.take(pa.array(share))
+    # A share on disk holds the members of one bucket or of several.
+    places: list[list[int]] = [[] for _ in range(min(count, SHARES))]
+    spool: Spool[pa.Table] = Spool()
+    for table in members:
+        numbers = np.fromiter(
+            (zlib.crc32(unit_id.encode()) % count for (unit_id,) in _rows([table], "unit_id")), np.int64
+        )
+        table = table.append_column("bucket", pa.array(numbers))
+        for share in np.unique(numbers * len(places) // count).tolist():
+            mine = numbers * len(places) // count == share
+            places[share].append(spool.append(table.filter(pa.array(mine))))
+    for share, found in enumerate(places):
+        if count == len(places):
+            if found:
+                yield share, Members(partial(_read, spool, found))
+            continue
+        if found:
+            whole = pa.concat_tables(_read(spool, found))
+            for bucket in sorted(pc.unique(whole.column("bucket")).to_pylist()):
+                yield bucket, Members.of([whole.filter(pc.equal(whole.column("bucket"), bucket))])
 
 
-def bucket_count(members: pa.Table, part_bytes: int) -> int:
-    """Return the number of buckets, a power of two, into which the rows of one table and partition are divided."""
-    whole = int(pc.sum(members.column("bytes")).as_py() or 0)
+def _read(spool: Spool[pa.Table], places: Sequence[int]) -> Iterator[pa.Table]:
+    return (spool[at] for at in places)
+
+
+def bucket_count(whole: int, part_bytes: int) -> int:
+    """Return the number of buckets, a power of two, into which ``whole`` canonical bytes of one table and partition are
+    divided.
+    """
     count = 1
     while count * part_bytes < whole:
         count *= 2
     return count
 
 
-def _rows(members: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
+def size(members: pa.Table) -> int:
+    """Return the total number of canonical bytes of ``members``."""
+    return int(pc.sum(members.column("bytes")).as_py() or 0)
+
+
+def _rows(members: Iterable[pa.Table], *names: str) -> Iterator[tuple[Any, ...]]:
     """Yield the values of the named columns, row by row. Only a batch of rows at a time is converted to objects."""
-    for batch in members.select(list(names)).to_batches(max_chunksize=_BATCH):
-        yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
+    for table in members:
+        for batch in table.select(list(names)).to_batches(max_chunksize=_BATCH):
+            yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
 
 
 def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
@@ -118,20 +164,24 @@ def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any
         yield from pool.map(load, items)
 
 
-def members_hash(members: pa.Table, state: Any = None) -> str:
-    """Return a 128-bit hash over the unit ids of ``members`` and the logical hashes of their rows."""
-    state = hashlib.sha256() if state is None else state
-    for unit_id, hash_ in _rows(members, "unit_id", "hash"):
+def hash_members(state: Any, members: pa.Table) -> None:
+    """Update the hash ``state`` with the unit ids of ``members`` and the logical hashes of their rows."""
+    for unit_id, hash_ in _rows([members], "unit_id", "hash"):
         name = unit_id.encode()
         state.update(len(name).to_bytes(4, "little") + name + hash_)
-    found: str = state.hexdigest()[:32]
-    return found
 
 
-def content_hash(spec: TableSpec, members: pa.Table) -> str:
-    """Return a 128-bit hash of everything that a part's bytes depend on (except versions of libraries)."""
+def content_of(spec: TableSpec, members: Members) -> tuple[str, int]:
+    """Return (128-bit hash of everything that a part's bytes depend on, except versions of libraries; canonical bytes
+    of its rows).
+    """
     settings = [schema_hash(spec.schema), *spec.sort_keys, str(ROW_GROUP_ROWS), str(ZSTD_LEVEL)]
-    return members_hash(members, hashlib.sha256(bytes.fromhex(digest(settings))))
+    state = hashlib.sha256(bytes.fromhex(digest(settings)))
+    whole = 0
+    for table in members:
+        hash_members(state, table)
+        whole += size(table)
+    return state.hexdigest()[:32], whole
 
 
 def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Packed:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from factory.chain import Chain, SharedTables, receipt_of
 from factory.commits import Commits
@@ -18,6 +21,7 @@ from factory.key import Keyer, StageKey
 from factory.pipeline import Pipeline, plain_name
 from factory.plan import PlanEntry, Reason, StagePlan, UnitPlan
 from factory.receipt import Receipt, StageReceipt
+from factory.scratch import batches, let_go
 from factory.unit import Unit, Work
 from schemas.errors import CondVLNError, CorruptShardError, InputError, StageError, UsageError
 
@@ -25,6 +29,8 @@ __all__ = ["Planner"]
 
 _BATCH: Final = 2048
 """Number of units that are compared at a time."""
+
+_STATUSES: Final = ("ok", "skipped", "quarantined")
 
 PROBES: Final = 100
 """Number of single requests to an object store after which all commits are listed instead, a thousand per request."""
@@ -64,12 +70,15 @@ class Planner:
         self._quarantined = quarantined
         self._again = again
         self._inventory = inventory
-        self._fingerprints = index.fingerprints()
-        self._statuses = index.statuses()
+        self._statuses = np.zeros(len(index), dtype=np.int8)
+        for start, batch in batches(index.table, ["status"]):
+            codes = pc.index_in(batch.column(0), value_set=pa.array(_STATUSES))
+            self._statuses[start : start + batch.num_rows] = codes.to_numpy()
         self._model = CostModel(index, pipeline)
         self._probes = 0
         self._listed: frozenset[tuple[str, str]] | None = None
-        self._seen: list[Any] = []
+        self._new = array("Q")
+        """Hashes of the ids that are not in the index."""
         self._all_fresh: tuple[tuple[str, StagePlan], ...] = tuple((stage.name, "FRESH") for stage in pipeline.stages)
         self.seconds_behind = 0.0
         """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` yielded."""
@@ -86,17 +95,22 @@ class Planner:
         Raises ``UsageError`` on a unit id that comes twice or can't be stored.
         """
         stream = iter(units)
+        twice = False
         while batch := [*islice(stream, _BATCH)]:
             for unit in batch:
                 _check(unit)
-            ids = [unit.unit_id for unit in batch]
-            self._seen.append(id_hashes(ids))
-            rows = self.index.rows_of(ids).tolist()
-            for unit, row in zip(batch, rows, strict=True):
+            rows = self.index.rows_of([unit.unit_id for unit in batch])
+            known = rows[rows >= 0]
+            twice = twice or len(np.unique(known)) < len(known) or bool(self.present[known].any())
+            self.present[known] = True
+            self._new.frombytes(
+                id_hashes([unit.unit_id for unit, row in zip(batch, rows, strict=True) if row < 0]).tobytes()
+            )
+            published = iter(self.index.take(known, ["fingerprint"]).column(0).to_pylist())
+            let_go()
+            for unit, row in zip(batch, rows.tolist(), strict=True):
                 checked, fingerprint = self._fingerprint(unit)
-                if row >= 0:
-                    self.present[row] = True
-                fresh = row >= 0 and self._whole and fingerprint == self._fingerprints[row] and self._stands(row)
+                fresh = row >= 0 and fingerprint == next(published) and self._whole and self._stands(row)
                 fresh = fresh and unit.unit_id not in self._again
                 if fresh and self._inventory is not None and not self._inventory.whole[row]:
                     self._only_damaged[row] = True
@@ -104,22 +118,28 @@ class Planner:
                 if fresh:
                     self.kept[row] = True
                 yield checked, fingerprint, row, fresh
-        seen = np.sort(np.concatenate(self._seen)) if self._seen else np.zeros(0, np.uint64)
-        if (seen[1:] == seen[:-1]).any():
+        new = np.frombuffer(self._new, np.uint64)
+        new.sort()
+        if twice or (new[1:] == new[:-1]).any():
             raise UsageError("two units of this run have the same id", remedy="Ids must be unique over all sources.")
 
     def _stands(self, row: int) -> bool:
         """Whether the unit's published result is still valid. A quarantined unit whose record was removed is tried
         again.
         """
-        if self._statuses[row] != "quarantined":
+        if self.status(row) != "quarantined":
             return True
         failure = self.index.receipt(row, self.pipeline).failure
         return failure is not None and (failure.stage, failure.key.hex()) in self._quarantined
 
     def status(self, row: int) -> str:
         """Return the published status of the unit in ``row`` of the index."""
-        return self._statuses[row]
+        return _STATUSES[self._statuses[row]]
+
+    def kept_incomplete(self) -> list[int]:
+        """Return the rows of the index that are kept and whose units are skipped or quarantined."""
+        found: list[int] = np.flatnonzero(self.kept & (self._statuses != 0)).tolist()
+        return found
 
     def _fingerprint(self, unit: Unit) -> tuple[Unit, bytes]:
         if unit.fault is None:
@@ -144,7 +164,7 @@ class Planner:
 
     def entry(self, unit: Unit, row: int, fresh: bool) -> PlanEntry:
         """Return the exact plan for one unit."""
-        if fresh and self._statuses[row] == "ok":
+        if fresh and self.status(row) == "ok":
             return PlanEntry(unit.unit_id, unit.partition, "FRESH", stages=self._all_fresh)
         old = self.index.receipt(row, self.pipeline) if row >= 0 else None
         if fresh:
@@ -298,12 +318,19 @@ class Planner:
         """
         if not missing or "content" not in self.index.table.column_names:
             return ()
-        gone = self.index.table.select(["unit_id", "content"]).filter(~self.present).to_pylist()
-        return tuple((row["unit_id"], missing[row["content"]]) for row in gone if row["content"] in missing)
+        return tuple(
+            (row["unit_id"], missing[row["content"]])
+            for row in self._gone("unit_id", "content")
+            if row["content"] in missing
+        )
 
     def removed(self) -> tuple[str, ...]:
         """Return the ids of published units that were not among the compared units."""
-        return tuple(self.index.table.column("unit_id").filter(~self.present).to_pylist())
+        return tuple(row["unit_id"] for row in self._gone("unit_id"))
+
+    def _gone(self, *columns: str) -> Iterator[dict[str, Any]]:
+        for start, batch in batches(self.index.table, columns):
+            yield from batch.filter(pa.array(~self.present[start : start + batch.num_rows])).to_pylist()
 
 
 def _differences(known: StageReceipt, key: StageKey) -> list[Reason]:

@@ -17,7 +17,7 @@ from factory.executor import Executor
 from factory.faults import FaultPlan
 from factory.index import Index
 from factory.inventory import missing_parts
-from factory.packing import PackJob, bucket_count, in_threads
+from factory.packing import PackJob, in_threads
 from factory.pipeline import Pipeline
 from factory.receipt import Receipt
 from factory.report import Progress, RunReport
@@ -150,10 +150,10 @@ class Publisher:
                 path = manifest_path(composition.snapshot_id)
                 self._store.write(path, self._store.read(path))
             return set()
-        parts: dict[tuple[str, str], list[PartRecord]] = {key: [] for key in composition.members}
+        parts: dict[tuple[str, str], list[PartRecord]] = {key: [] for key in composition.hashes}
         self._faults.reach("snapshot-before-parts")
         jobs = self._carry_over(composition.jobs(self._part_bytes), parts)
-        files = sum(bucket_count(members, self._part_bytes) for members in composition.members.values())
+        files = sum(composition.bucket_count(*key, self._part_bytes) for key in composition.hashes)
         self._progress.phase("files", files, 0.0)
         damaged: set[str] = set()
         for packed in self._executor.pack(context, jobs):

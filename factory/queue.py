@@ -7,16 +7,17 @@ One worker alone takes the smallest first.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from factory.executor import Task
 from factory.spool import Spool
 from factory.unit import Work
 
-__all__ = ["Queue", "tasks"]
+__all__ = ["Queue", "WorkSpool", "tasks"]
 
 TASK_SECONDS: Final = 2.0
 """Expected CPU seconds up to which units share a task, so that handing out a task costs below 1 %."""
@@ -25,34 +26,45 @@ TASK_UNITS: Final = 64
 """Most units of a task, so that their receipts (2 kB each at most) can be returned directly."""
 
 
+class WorkSpool(Spool[Work]):
+    """Units of work on disk, of which only the expected seconds stay in memory."""
+
+    def __init__(self, items: Iterable[Work] = ()) -> None:
+        self.seconds = array("d")
+        super().__init__(items)
+
+    def append(self, item: Work) -> int:
+        self.seconds.append(item.seconds)
+        return super().append(item)
+
+
 class Queue:
-    """A queue of work units spooled to disk. Tasks are created from it on demand; only each unit's cost and file offset
-    stay in memory.
+    """A queue of work units spooled to disk. Tasks are created from it on demand; only each unit's cost and its place
+    in the order stay in memory.
     """
 
-    def __init__(self, work: Spool[Work], until: int, workers: int) -> None:
+    def __init__(self, work: WorkSpool, until: int, workers: int) -> None:
         self._work = work
         self._until = until
-        costs = array("d", (item.seconds for item in work))
-        self._costs: Any = np.frombuffer(costs, dtype=np.float64) if len(costs) else np.zeros(0)
+        self._costs = np.frombuffer(work.seconds, np.float64)
         self.seconds = float(self._costs.sum())
         # Towards the end all workers should stay busy, so no task takes more than a small part of one worker's share.
         self._target = min(TASK_SECONDS, self.seconds / (4 * max(workers, 1)))
 
     def __iter__(self) -> Iterator[Task]:
         """Yield tasks, the largest units first."""
-        return self._tasks(-self._costs)
+        return self._tasks(np.argsort(-self._costs, kind="stable"))
 
     def smallest_first(self) -> Iterator[Task]:
         """Yield tasks for a single worker, the smallest units first, so that a unit that never ends blocks no other."""
-        return self._tasks(self._costs)
+        return self._tasks(np.argsort(self._costs, kind="stable"))
 
-    def _tasks(self, ranks: Any) -> Iterator[Task]:
+    def _tasks(self, order: npt.NDArray[np.int64]) -> Iterator[Task]:
         held: list[Work] = []
         seconds = 0.0
-        # Equal costs keep the order they came in.
-        for at in np.argsort(ranks, kind="stable").tolist():
-            item = self._work[at]
+        # The order is stable: equal costs keep the order they came in.
+        for at in order:
+            item = self._work[int(at)]
             held.append(item)
             seconds += item.seconds
             if seconds >= self._target or len(held) >= TASK_UNITS:
@@ -65,6 +77,6 @@ class Queue:
         return Task(tuple(held), self._until, memory=max(item.memory for item in held))
 
 
-def tasks(work: Spool[Work], until: int, workers: int) -> Queue:
+def tasks(work: WorkSpool, until: int, workers: int) -> Queue:
     """Return a queue that yields the tasks of ``work``, the largest units first."""
     return Queue(work, until, workers)

@@ -22,7 +22,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -40,7 +39,7 @@ from factory.pipeline import Pipeline
 from factory.plan import Plan
 from factory.planner import Planner
 from factory.publish import Publisher, published_index
-from factory.queue import tasks
+from factory.queue import WorkSpool, tasks
 from factory.ray_guard import COMMITTED
 from factory.receipt import Receipt
 from factory.report import ABORTED, WITH_QUARANTINE, FailureBudget, Progress, RunReport, Silence
@@ -48,7 +47,7 @@ from factory.snapshot import read_manifest, read_ref
 from factory.spool import Spool
 from factory.stage import Aggregate
 from factory.store import Store
-from factory.unit import Unit, Work
+from factory.unit import Unit
 from schemas.errors import ClusterError, CorruptShardError, FailureBudgetError, StoreError
 
 __all__ = ["plan", "run"]
@@ -260,7 +259,7 @@ class _Run:
         for _ in range(_REPAIRS):
             self._begin()
             planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, stages=until)
-            with Spool(planner.work(units)) as spool, Spool[Receipt]() as receipts:
+            with WorkSpool(planner.work(units)) as spool, Spool[Receipt]() as receipts:
                 if planner.seconds_behind:
                     self.progress.note(
                         f"a first pass builds {', '.join(a.name for a in due)}; after it, about "
@@ -300,14 +299,14 @@ class _Run:
             inventory=self.inventory,
         )
         writer = IndexWriter(self.pipeline)
-        with Spool(planner.work(units)) as spool:
-            kept = np.nonzero(planner.kept)[0]
-            report.counts["fresh"] = len(kept)
+        with WorkSpool(planner.work(units)) as spool:
+            kept = int(planner.kept.sum())
+            report.counts["fresh"] = kept
             report.counts["removed"] = int((~planner.present).sum())
-            report.counts["total"] = len(spool) + len(kept)
-            for row in kept[np.array([planner.status(int(at)) != "ok" for at in kept], dtype=bool)].tolist():
-                self._count(self.index.receipt(row, self.pipeline), worked=False)
-            report.counts["ok"] += len(kept) - report.counts["skipped"] - report.counts["quarantined"]
+            report.counts["total"] = len(spool) + kept
+            for receipt in self.index.receipts(planner.kept_incomplete(), self.pipeline):
+                self._count(receipt, worked=False)
+            report.counts["ok"] += kept - report.counts["skipped"] - report.counts["quarantined"]
             self._within_budget()
             if not len(spool) and not report.counts["removed"] and self._index_holds() and self.publisher.sound():
                 assert self.publisher.old is not None
@@ -315,12 +314,12 @@ class _Run:
                 return None
             for receipt in self._work(spool, len(self.pipeline.stages), "units"):
                 writer.add(receipt)
-        return writer.finish(self.index.table.take(kept))
+        return writer.finish(self.index.table, planner.kept)
 
     def _index_holds(self) -> bool:
         return not self.index.damaged and len(self.index) > 0
 
-    def _work(self, work: Spool[Work], until: int, phase: str) -> Iterator[Receipt]:
+    def _work(self, work: WorkSpool, until: int, phase: str) -> Iterator[Receipt]:
         """Yield the receipts of all units in ``work`` as they come, and count them."""
         self.report.counts["total"] = max(self.report.counts["total"], len(work))
         queue = tasks(work, until, self.executor.workers)

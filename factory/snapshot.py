@@ -8,9 +8,10 @@ ref.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ import pyarrow.compute as pc
 
 from factory.commits import REBUILD_VERIFIED, Commits
 from factory.index import Index
-from factory.packing import PackJob, buckets, content_hash, members_hash
+from factory.packing import Members, PackJob, bucket_count, buckets, content_of, hash_members, size
 from factory.pipeline import Pipeline, plain_name
 from factory.receipt import StageReceipt
 from factory.rows import parquet_table, schema_hash
+from factory.scratch import batches, let_go
 from factory.seal import unsealed
 from factory.store import Store, token_of
 from schemas.canonical import JSON, digest
@@ -44,41 +46,58 @@ __all__ = ["Composition", "Snapshot", "damaged_parts", "read_manifest", "read_re
 class Composition:
     """The content of a snapshot, known from the index alone, before any file of it is written.
 
-    members : for each (table, partition) the rows' places and hashes, as in ``PackJob``
+    sizes : for each (table, partition) the canonical bytes of all rows
     hashes : for each (table, partition) the hash over all rows
     """
 
     pipeline: Pipeline
     index: pa.Table
-    members: Mapping[tuple[str, str], pa.Table]
+    sizes: Mapping[tuple[str, str], int]
     hashes: Mapping[tuple[str, str], str]
     snapshot_id: str
 
     @classmethod
     def of(cls, pipeline: Pipeline, index: pa.Table) -> Composition:
         """Compose a snapshot of ``pipeline`` from a unit index that is sorted by unit id."""
-        done = pc.not_equal(index.column("status"), "quarantined")
-        partitions = sorted(pc.unique(index.column("partition").filter(done)).to_pylist())
-        members: dict[tuple[str, str], pa.Table] = {}
+        states: dict[str, dict[str, Any]] = {name: {} for name in sorted(pipeline.tables)}
+        sizes: Counter[tuple[str, str]] = Counter()
+        for batch, here, partition in _partitions(index, index.column_names):
+            for name, known in states.items():
+                members = _members(batch, here, name, pipeline.tables[name].stages)
+                hash_members(known.setdefault(partition, hashlib.sha256()), members)
+                sizes[name, partition] += size(members)
         hashes: dict[tuple[str, str], str] = {}
         document: dict[str, JSON] = {}
-        for name, spec in sorted(pipeline.tables.items()):
+        for name, known in states.items():
+            spec = pipeline.tables[name]
             sums: dict[str, JSON] = {}
-            for partition in partitions:
-                here = pc.and_(done, pc.equal(index.column("partition"), partition))
-                found = members[name, partition] = _members(index, here, name, spec.stages)
-                hashes[name, partition] = sums[partition] = members_hash(found)
+            for partition in sorted(known):
+                hashes[name, partition] = sums[partition] = known[partition].hexdigest()[:32]
             document[name] = {"schema": schema_hash(spec.schema), "sort": list(spec.sort_keys), "partitions": sums}
         snapshot_id = digest({"pipeline": pipeline.name, "tables": document})[:32]
-        return cls(pipeline, index, members, hashes, snapshot_id)
+        return cls(pipeline, index, sizes, hashes, snapshot_id)
+
+    def bucket_count(self, table: str, partition: str, part_bytes: int) -> int:
+        """Return into how many files the rows of one table and partition are divided."""
+        return bucket_count(self.sizes[table, partition], part_bytes)
 
     def jobs(self, part_bytes: int) -> Iterator[PackJob]:
         """Return the pack jobs for the files of the snapshot."""
-        for (table, partition), members in self.members.items():
+        for table, partition in self.hashes:
             spec = self.pipeline.tables[table]
-            for bucket, share in buckets(members, part_bytes):
+            members = Members(partial(self._members, table, partition))
+            for bucket, share in buckets(members, self.bucket_count(table, partition, part_bytes)):
                 path = f"snapshots/{self.snapshot_id}/{table}/source={partition}/part-{bucket:05d}.parquet"
-                yield PackJob(table, partition, bucket, path, content_hash(spec, share), share)
+                content, whole = content_of(spec, share)
+                yield PackJob(table, partition, bucket, path, content, share, whole)
+
+    def _members(self, table: str, partition: str) -> Iterator[pa.Table]:
+        stages = self.pipeline.tables[table].stages
+        columns = ["unit_id", "partition", "status", *(f"{stage}.key" for stage in stages)]
+        columns += [f"{stage}/{table}.{what}" for stage in stages for what in ("rows", "hash", "bytes")]
+        for batch, here, found in _partitions(self.index, columns):
+            if found == partition:
+                yield _members(batch, here, table, stages)
 
     def manifest(
         self,
@@ -106,12 +125,14 @@ class Composition:
                 rows=sum(partition.rows for partition in partitions.values()),
                 partitions=partitions,
             )
-        status = pc.value_counts(self.index.column("status")).to_pylist()
+        status: Counter[str] = Counter()
+        for _, batch in batches(self.index, ["status"]):
+            status.update({item["values"]: item["counts"] for item in pc.value_counts(batch.column(0)).to_pylist()})
         return SnapshotManifest(
             snapshot_id=self.snapshot_id,
             pipeline=self.pipeline.name,
             tables=tables,
-            units={item["values"]: item["counts"] for item in status},
+            units=dict(status),
             aggregates=dict(aggregates),
             shared=dict(shared),
             stages={stage.name: self._totals(at) for at, stage in enumerate(self.pipeline.stages)},
@@ -122,6 +143,7 @@ class Composition:
         stage = self.pipeline.stages[at]
 
         def total(name: str) -> Any:
+            let_go()
             return pc.sum(self.index.column(f"{stage.name}{name}")).as_py() or 0
 
         return StageTotals(
@@ -133,6 +155,14 @@ class Composition:
             rows=sum(total(f"/{table}.rows") for table in stage.tables),
             bytes=sum(total(f"/{table}.bytes") for table in stage.tables),
         )
+
+
+def _partitions(index: pa.Table, columns: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Array, str]]:
+    """Go through an index; yield (some rows, mask of those that are of a partition and not quarantined, partition)."""
+    for _, batch in batches(index, columns):
+        done = pc.not_equal(batch.column("status"), "quarantined")
+        for partition in pc.unique(batch.column("partition").filter(done)).to_pylist():
+            yield pa.table(batch), pc.and_(done, pc.equal(batch.column("partition"), partition)), partition
 
 
 def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...]) -> pa.Table:

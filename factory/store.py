@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 __all__ = ["Entry", "Store", "token_of"]
 
@@ -47,6 +47,10 @@ class Store(Protocol):
         """Return all bytes of a file."""
         ...
 
+    def open(self, path: str) -> BinaryIO:
+        """Open a file that is too long for memory; where it is not on this disk, a temporary copy is opened."""
+        ...
+
     def exists(self, path: str) -> bool:
         """Whether the file exists and is complete."""
         ...
@@ -54,6 +58,7 @@ class Store(Protocol):
     def write(self, path: str, data: Any, *, settle: bool = True) -> None:
         """Write a whole file atomically; an older file of this path is replaced.
 
+        data : bytes, or an open file that is read from its beginning
         settle : make its name outlast a power cut; not needed where another write into the same folder follows
         """
         ...

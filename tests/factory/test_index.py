@@ -18,7 +18,7 @@ from factory import FileHashes, LocalStore, Snapshot, hash_file, run
 from factory.commits import Commits
 from factory.index import Index, IndexWriter, index_schema
 from factory.planner import Planner
-from factory.queue import TASK_UNITS, Queue
+from factory.queue import TASK_UNITS, Queue, WorkSpool
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
 from factory.spool import Spool
 from factory.unit import Work
@@ -102,7 +102,7 @@ def test_a_spool_gives_items_back_in_any_order() -> None:
 @given(st.lists(st.floats(0.001, 10), min_size=1, max_size=300), st.integers(1, 8))
 def test_tasks_hold_every_unit_once_and_the_biggest_first(costs: list[float], workers: int) -> None:
     work = [Work(toys.unit(f"a/{n}"), b"", cost, 10 * n) for n, cost in enumerate(costs)]
-    with Spool(work) as spool:
+    with WorkSpool(work) as spool:
         tasks = [*Queue(spool, 3, workers)]
         backwards = [item.seconds for task in Queue(spool, 3, workers).smallest_first() for item in task.work]
     assert sorted(item.unit.unit_id for task in tasks for item in task.work) == sorted(w.unit.unit_id for w in work)
