@@ -161,7 +161,7 @@ class IndexWriter:
                 whole.write(joined.slice(0, BATCH_ROWS))
                 held = [joined.slice(BATCH_ROWS)]
                 rows -= BATCH_ROWS
-                let_go()
+            let_go()
         if rows:
             whole.write(_joined(held))
         return whole.table()

@@ -10,6 +10,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Literal
 
+from factory.record import Record
 from factory.spool import Spool
 
 __all__ = ["Plan", "PlanEntry", "Reason", "StagePlan", "UnitPlan"]
@@ -22,7 +23,7 @@ UnitPlan = Literal["FRESH", "STALE", "MISSING", "QUARANTINED"]
 
 
 @dataclass(frozen=True, slots=True)
-class PlanEntry:
+class PlanEntry(Record):
     """What a run would do with one unit.
 
     reasons : what changed since it was published, for a stale unit

@@ -7,6 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from factory.record import Record
+
 __all__ = ["Failure", "Receipt", "StageReceipt", "Status", "TableReceipt"]
 
 Status = Literal["ok", "skipped", "quarantined", "partial", "memory"]
@@ -15,7 +17,7 @@ memory."""
 
 
 @dataclass(frozen=True, slots=True)
-class TableReceipt:
+class TableReceipt(Record):
     """One table of one stage: its 16-byte logical hash, number of rows, and size in bytes of its canonical buffers."""
 
     table: str
@@ -25,7 +27,7 @@ class TableReceipt:
 
 
 @dataclass(frozen=True, slots=True)
-class StageReceipt:
+class StageReceipt(Record):
     """One stage of a unit: its key, the hashes of the key's parts (16 bytes each), and its cost.
 
     seconds : by the clock
@@ -53,7 +55,7 @@ class StageReceipt:
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class Failure(Record):
     """Why and at which stage a unit was quarantined; the full record is in the store.
 
     known : it stood in quarantine already and was not tried again
@@ -70,7 +72,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Receipt:
+class Receipt(Record):
     """The result of one unit.
 
     expected : CPU seconds that were expected of it, by which a run tells how much is left; set by the executor

@@ -69,7 +69,7 @@ def batches(table: pa.Table, columns: Sequence[str] | None = None) -> Iterator[t
 
 
 def let_go() -> None:
-    """Give the memory of all mapped tables, and what Arrow keeps of freed memory, back to the system. What is read again
+    """Give the memory of all mapped tables back to the system, and what Arrow keeps of freed memory. What is read again
     comes from the system's cache of files.
     """
     pa.default_memory_pool().release_unused()

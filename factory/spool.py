@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import pickle
-import struct
 import tempfile
 import weakref
+from array import array
 from collections.abc import Iterable, Iterator
 from types import TracebackType
 from typing import Any, Final, Generic, TypeVar
@@ -18,7 +19,8 @@ Self = TypeVar("Self", bound="Spool[Any]")
 _AT_ONCE: Final = 256
 """Number of items that are read at a time where all are wanted."""
 
-_PLACE: Final = struct.Struct("<Q")
+_BUFFER: Final = 1 << 16
+"""Bytes that are written at a time."""
 
 
 class Spool(Generic[T]):
@@ -32,9 +34,11 @@ class Spool(Generic[T]):
         self._file: Any = tempfile.SpooledTemporaryFile(max_size=1 << 20)  # noqa: SIM115 - closed by close()
         # Where each item ends.
         self._ends: Any = tempfile.SpooledTemporaryFile(max_size=1 << 16)  # noqa: SIM115 - closed by close()
+        # What was appended last, and is not in the files yet.
+        self._data = bytearray()
+        self._places = array("Q")
         self._count = 0
         self._end = 0
-        self._writing = True
         self._closing = weakref.finalize(self, _close, self._file, self._ends)
         for item in items:
             self.append(item)
@@ -42,15 +46,20 @@ class Spool(Generic[T]):
     def append(self, item: T) -> int:
         """Append one item; return its position."""
         data = pickle.dumps(item, protocol=pickle.HIGHEST_PROTOCOL)
-        if not self._writing:
-            self._file.seek(self._end)
-            self._ends.seek(_PLACE.size * self._count)
-            self._writing = True
         self._end += len(data)
-        self._file.write(data)
-        self._ends.write(_PLACE.pack(self._end))
+        self._data += data
+        self._places.append(self._end)
         self._count += 1
+        if len(self._data) >= _BUFFER:
+            self._flush()
         return self._count - 1
+
+    def _flush(self) -> None:
+        for file, data in ((self._file, self._data), (self._ends, self._places)):
+            file.seek(0, os.SEEK_END)
+            file.write(data)
+        self._data = bytearray()
+        self._places = array("Q")
 
     def __len__(self) -> int:
         return self._count
@@ -65,10 +74,11 @@ class Spool(Generic[T]):
             yield from self._read(at, min(at + _AT_ONCE, self._count))
 
     def _read(self, first: int, stop: int) -> Iterator[T]:
-        self._writing = False
+        if self._data:
+            self._flush()
         before = min(first, 1)
-        self._ends.seek(_PLACE.size * (first - before))
-        ends = [end for (end,) in _PLACE.iter_unpack(self._ends.read(_PLACE.size * (stop - first + before)))]
+        self._ends.seek(8 * (first - before))
+        ends = array("Q", self._ends.read(8 * (stop - first + before)))
         start = ends.pop(0) if before else 0
         self._file.seek(start)
         data = memoryview(self._file.read(ends[-1] - start))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from factory.record import Record
 from schemas.canonical import JSON
 from schemas.errors import InputError
 
@@ -13,7 +14,7 @@ __all__ = ["InputFile", "Unit", "Work"]
 
 
 @dataclass(frozen=True, slots=True)
-class InputFile:
+class InputFile(Record):
     """One input that is part of the key: a file, or a record inside one (``houses.jsonl#12``).
 
     path : relative to the dataset's root, '/' between folders, so that a moved dataset keeps its keys
@@ -27,7 +28,7 @@ class InputFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(Record):
     """One unit of a run.
 
     unit_id : unique in a run; part of every key, since rows name the unit they belong to
@@ -54,7 +55,7 @@ class Unit:
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
+class Work(Record):
     """One unit, as a run hands it to a worker.
 
     fingerprint : hash of all that its chain can depend on (16 bytes)

@@ -17,6 +17,9 @@ __all__ = ["JSON", "canonical_json", "digest"]
 JSON: TypeAlias = Union[bool, int, float, str, Sequence["JSON"], Mapping[str, "JSON"], None]  # noqa: UP007
 """A JSON value; tuples count as arrays."""
 
+_PLAIN = frozenset({str, int, float, bool, type(None)})
+_ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+
 
 def canonical_json(value: JSON) -> bytes:
     """Encode ``value`` as canonical JSON: sorted keys, no blanks, ASCII.
@@ -24,9 +27,7 @@ def canonical_json(value: JSON) -> bytes:
     Raises ``ValueError`` on NaN and infinities, ``TypeError`` on what is not JSON (keys that are not text included,
     since ``1`` and ``"1"`` would fall together).
     """
-    return json.dumps(
-        _checked(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
-    ).encode("ascii")
+    return _ENCODER.encode(_checked(value)).encode("ascii")
 
 
 def digest(value: JSON) -> str:
@@ -35,6 +36,8 @@ def digest(value: JSON) -> str:
 
 
 def _checked(value: JSON) -> JSON:
+    if type(value) in _PLAIN:  # most values, and asking for a mapping takes long
+        return value
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):

@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import sqlite3
 import time
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import toys
 from hypothesis import given
 from hypothesis import strategies as st
 
+import factory.index as index_module
+import factory.scratch as scratch_module
 from factory import FileHashes, LocalStore, Snapshot, hash_file, run
 from factory.commits import Commits
 from factory.index import Index, IndexWriter, index_schema
+from factory.packing import Members, buckets
 from factory.planner import Planner
 from factory.queue import TASK_UNITS, Queue, WorkSpool
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
+from factory.scratch import Scratch, batches, let_go
 from factory.spool import Spool
 from factory.unit import Work
 from schemas.errors import CorruptShardError, MissingFileError
@@ -68,6 +78,103 @@ def test_an_index_gives_back_what_was_put_in(pairs: list[tuple[str, int]], other
     assert [row >= 0 for row in index.rows_of(others)] == [other in known for other in others]
 
 
+@pytest.mark.parametrize("rows", [2, 7, 1000])
+@given(
+    st.lists(st.tuples(ids, st.integers(0, 200), st.sampled_from(["kept", "gone", "new"])), max_size=40),
+)
+def test_an_index_on_disk_is_the_one_in_memory(rows: int, drawn: list[tuple[str, int, str]]) -> None:
+    pipeline = toys.pipeline()
+    whole = {unit_id: (receipt(unit_id, tail), what) for unit_id, tail, what in drawn}
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (index_module, scratch_module):
+            patch.setattr(module, "BATCH_ROWS", rows)
+        patch.setattr(index_module, "_BATCH", 3)
+        patch.setattr(index_module, "_PIECE", max(rows // 4, 1))
+        before = IndexWriter(pipeline)
+        for item, what in whole.values():
+            if what != "new":
+                before.add(item)
+        old = before.finish(None)
+        kept = np.array([whole[unit_id][1] == "kept" for unit_id in old.column("unit_id").to_pylist()], dtype=bool)
+        after = IndexWriter(pipeline)
+        for item, what in whole.values():
+            if what == "new":
+                after.add(item)
+        index = Index(after.finish(old, kept))
+        expected = sorted((item for item, what in whole.values() if what != "gone"), key=lambda r: r.unit_id.encode())
+        assert [*index.receipts(range(len(index)), pipeline)] == expected
+        assert index.rows_of([item.unit_id for item in expected]).tolist() == [*range(len(expected))]
+        assert (index.rows_of([item.unit_id for item, what in whole.values() if what == "gone"]) == -1).all()
+        sizes = [batch.num_rows for batch in index.table.to_batches()]
+        assert sizes == [rows] * (len(expected) // rows) + [len(expected) % rows] * (len(expected) % rows > 0)
+        back = np.arange(len(index))[::-1]
+        names = index.table.column_names
+        assert index.take(back, names).to_pylist() == index.table.to_pylist()[::-1]
+        assert [index.value(int(row), "unit_id") for row in back] == [r.unit_id for r in expected[::-1]]
+
+
+def test_ids_whose_hashes_fall_together_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(index_module, "id_hashes", lambda unit_ids: np.full(len(unit_ids), 7 << 60, np.uint64))
+    writer = IndexWriter(toys.pipeline())
+    for tail in range(9):
+        writer.add(receipt(f"a/{tail}", tail))
+    index = Index(writer.finish(None))
+    assert index.rows_of(["a/8", "b", "a/0", "a/4", ""]).tolist() == [8, -1, 0, 4, -1]
+
+
+def test_an_index_of_row_groups_of_another_size_is_read(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    units = toys.units(40)
+    run(toys.pipeline(), units, store)
+    snapshot = Snapshot.open(store)
+    whole = snapshot.index().table
+    for module in (index_module, scratch_module):
+        monkeypatch.setattr(module, "BATCH_ROWS", 6)
+    assert snapshot.index().table.equals(whole)
+    # Nothing changed, so nothing is published; a changed unit gives an index of row groups of the new size.
+    assert not run(toys.pipeline(), units, store).published
+    assert run(toys.pipeline(), units[1:], store).published
+    later = Snapshot.open(store)
+    with store.open(Index.path(later.index_hash)) as file:
+        groups = pq.ParquetFile(file).metadata
+        assert [groups.row_group(at).num_rows for at in range(groups.num_row_groups)] == [6] * 6 + [3]
+    assert later.index().table.equals(whole.filter(pc.not_equal(whole.column("unit_id"), units[0].unit_id)))
+
+
+def test_what_a_scratch_holds_lasts_as_long_as_its_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scratch_module, "BATCH_ROWS", 4)
+    whole = pa.table({"n": range(30), "text": [str(n) for n in range(30)]})
+    scratch = Scratch(whole.schema)
+    for batch in whole.to_batches(max_chunksize=4):
+        scratch.write(batch)
+    found = scratch.table()
+    del scratch
+    let_go()
+    assert found.equals(whole)
+    assert [start for start, _ in batches(found)] == [*range(0, 30, 4)]
+    # A mapped table takes none of Arrow's memory.
+    before = pa.total_allocated_bytes()
+    assert sum(batch.num_rows for _, batch in batches(found, ["text"])) == 30
+    assert pa.total_allocated_bytes() == before
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 64])
+def test_members_are_divided_by_the_hash_of_their_ids(count: int) -> None:
+    names = [f"a/{n}" for n in range(300)]
+    tables = [
+        pa.table({"unit_id": part, "hash": [name.encode() for name in part], "bytes": [len(name) for name in part]})
+        for part in (names[:100], names[100:101], names[101:])
+    ]
+    expected: dict[int, list[str]] = {}
+    for name in names:
+        expected.setdefault(zlib.crc32(name.encode()) % count, []).append(name)
+    found = [*buckets(Members(lambda: tables), count)]
+    assert [number for number, _ in found] == sorted(expected)
+    for number, members in found:
+        for seen in (members, members, pickle.loads(pickle.dumps(members))):
+            assert [name for table in seen for name in table.column("unit_id").to_pylist()] == expected[number]
+    assert [*buckets(Members.of([]), 1)] and not [*buckets(Members.of([]), count)][1:]
+
+
 def test_an_index_survives_a_stage_that_is_new(store: LocalStore) -> None:
     run(toys.pipeline(), toys.units(4), store)
     old = Snapshot.open(store).index()
@@ -97,6 +204,9 @@ def test_a_spool_gives_items_back_in_any_order() -> None:
         assert [spool[at] for at in (499, 0, 250)] == [items[499], items[0], items[250]]
         spool.append("more")
         assert (spool[500], len(spool)) == ("more", 501)
+        assert [*spool] == [*items, "more"]
+        with pytest.raises(IndexError):
+            spool[501]
 
 
 @given(st.lists(st.floats(0.001, 10), min_size=1, max_size=300), st.integers(1, 8))
