@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -98,7 +98,7 @@ class Simulated:
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         for task in tasks:
             for item in task.work:
-                made = hashlib.sha256(item.unit.unit_id.encode()).digest()
+                made = _made(item.unit)
                 key, rows = made[:16], (TableReceipt("rows", made[16:], 3, 60),)
                 stage = StageReceipt(
                     "burn", key, key, key, key, key, 0.001, 1 << 20, True, False, rows, 0.001, item.unit.cost
@@ -118,6 +118,11 @@ class Simulated:
             yield Packed(job.table, job.partition, part)
 
 
+def _made(unit: Unit) -> bytes:
+    """Return 32 bytes that stand for the key of a unit and the hash of its rows."""
+    return hashlib.sha256(f"{unit.unit_id} {unit.inputs[0].sha256}".encode()).digest()
+
+
 def pipeline(rounds: int = 0) -> Pipeline:
     """Build a pipeline with one stage and one table."""
     return Pipeline("bench", (Burn(rounds=rounds),), {"rows": TableSpec(ROWS, ("unit",), "burn")})
@@ -133,6 +138,13 @@ def units(count: int, cost: float = 0.001) -> Iterator[Unit]:
         )
 
 
+def changed_units(count: int) -> Iterator[Unit]:
+    """Yield the same units, of which each hundredth has another file."""
+    for at, unit in enumerate(units(count)):
+        file = unit.inputs[0]
+        yield replace(unit, inputs=(replace(file, sha256=f"{count + at:064x}"),)) if at % 100 == 7 else unit
+
+
 @dataclass(frozen=True)
 class Scale:
     """(seconds by the clock, CPU seconds) of the jobs at one size, and the process's peak memory in bytes."""
@@ -141,11 +153,14 @@ class Scale:
     plan: tuple[float, float]
     rebuild: tuple[float, float]
     glance: tuple[float, float]
+    changed: tuple[float, float]
     peak: int
 
 
 def measure_scale(count: int, store: Store | None = None) -> Scale:
-    """Measure a first run, and a plan, a rebuild and a glance (``rebuild --if-changed``) of the unchanged corpus."""
+    """Measure a first run; a plan, a rebuild and a glance (``rebuild --if-changed``) of the unchanged corpus; and a
+    rebuild where 1 % of the units changed.
+    """
     with tempfile.TemporaryDirectory() as folder:
         kept = store or LocalStore(folder)
         first = _timed(lambda: run(pipeline(), units(count), kept, executor=Simulated()))
@@ -153,8 +168,15 @@ def measure_scale(count: int, store: Store | None = None) -> Scale:
         planned = _timed(lambda: plan(pipeline(), units(count), kept).empty or _refuse())
         rebuilt = _timed(lambda: run(pipeline(), units(count), kept, executor=Simulated()).published and _refuse())
         glanced = _timed(lambda: glance(kept, "main"))
+        changed = _timed(lambda: _rebuild_changed(count, kept))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return Scale(first, planned, rebuilt, glanced, peak)
+    return Scale(first, planned, rebuilt, glanced, changed, peak)
+
+
+def _rebuild_changed(count: int, store: Store) -> None:
+    report = run(pipeline(), changed_units(count), store, executor=Simulated())
+    assert report.published
+    assert report.counts["made"] == count // 100
 
 
 def _refuse() -> None:
@@ -174,8 +196,7 @@ def _fill(store: Store, count: int) -> None:
     for path in snapshot.paths("rows"):
         store.write(path, b"1")
     for unit in units(count):
-        key = hashlib.sha256(unit.unit_id.encode()).hexdigest()[:32]
-        path = f"{Commits.folder('burn', key)}/unit.json"
+        path = f"{Commits.folder('burn', _made(unit)[:16].hex())}/unit.json"
         place = store.local_path(path)
         if place is None:
             store.write(path, b"1")
@@ -199,6 +220,7 @@ def scale(console: Console) -> None:
         "plan s (CPU)",
         "rebuild s (CPU)",
         "glance s (CPU)",
+        "1 % changed s (CPU)",
         "driver MiB",
     )
     table = Table(*columns, title="Driver alone, simulated work")
@@ -222,6 +244,7 @@ def _row(count: int, found: Scale) -> tuple[str, ...]:
         f"{found.plan[0]:.2f} ({found.plan[1]:.2f})",
         f"{found.rebuild[0]:.2f} ({found.rebuild[1]:.2f})",
         f"{found.glance[0]:.2f} ({found.glance[1]:.2f})",
+        f"{found.changed[0]:.2f} ({found.changed[1]:.2f})",
         f"{found.peak / 2**20:.0f}",
     )
 

@@ -249,6 +249,10 @@ def test_a_table_that_only_a_unit_keeps_is_read_by_its_hash(store: LocalStore) -
 def test_two_units_with_one_id_are_refused(store: LocalStore) -> None:
     with pytest.raises(UsageError, match="the same id"):
         run(toys.pipeline(), [toys.unit("a/x"), toys.unit("a/x", 3)], store)
+    run(toys.pipeline(), [toys.unit("a/x"), toys.unit("a/y")], store)
+    for twice in ("a/x", "a/z"):
+        with pytest.raises(UsageError, match="the same id"):
+            plan(toys.pipeline(), [toys.unit("a/x"), toys.unit("a/y"), toys.unit(twice), toys.unit("a/z")], store)
 
 
 def test_one_worker_takes_the_smallest_units_first(store: LocalStore, tmp_path: Path) -> None:
