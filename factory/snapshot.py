@@ -15,6 +15,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -207,6 +208,13 @@ def read_ref(store: Store, name: str) -> tuple[Ref | None, str | None]:
         ) from error
 
 
+def _repeated(text: str, count: int) -> pa.Array:
+    """Return an array of one text `count` times. To convert Python's objects, pyarrow would import pandas."""
+    data = text.encode()
+    offsets = np.arange(count + 1, dtype=np.int32) * len(data)
+    return pa.Array.from_buffers(pa.string(), count, [None, pa.py_buffer(offsets), pa.py_buffer(data * count)])
+
+
 def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
@@ -325,7 +333,7 @@ class Snapshot:
                 if hashlib.sha256(data).hexdigest() != part.sha256:
                     raise CorruptShardError("the file differs from the manifest", where=where, remedy=REBUILD_VERIFIED)
                 rows = parquet_table(data, where, columns)
-                tables.append(rows.append_column("source", pa.repeat(pa.scalar(source, pa.string()), rows.num_rows)))
+                tables.append(rows.append_column("source", _repeated(source, rows.num_rows)))
         return pa.concat_tables(tables) if tables else pa.table({})
 
     def index(self) -> Index:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trimesh.collision import mesh_to_BVH
 
 from condvln.scene import SceneObject
-from condvln.scene.meshes import MeshLibrary
+from condvln.scene.meshes import shared_library
 
 __all__ = ["Shapes", "SurfaceGauge"]
 
@@ -69,7 +69,7 @@ class Shapes:
     """
 
     def __init__(self, root: Path) -> None:
-        self._library = MeshLibrary(root)
+        self._library = shared_library(root)
         self._kept: OrderedDict[tuple[str, bytes], _Shape] = OrderedDict()
 
     def parts(self, item: SceneObject) -> list[_Part]:

@@ -185,6 +185,8 @@ class Surroundings:
     def _has(self, outer: Thing, inner: Thing) -> bool:
         if outer.object_id == inner.object_id:
             return False
+        if self._share > 0.0 and _apart(outer, inner):
+            return outer.object_id in (inner.item.receptacles or ())
         if outer.object_id in (inner.item.receptacles or ()) or self._surrounds(outer, inner):
             return True
         return any(self._bears(below, above) for above in inner.solids() for below in outer.solids())
@@ -250,6 +252,15 @@ def _beyond(one: Thing, other: Thing, axes: tuple[int, ...]) -> float:
         gap = max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0)
         total += gap * gap
     return math.sqrt(total)
+
+
+def _apart(one: Thing, other: Thing) -> bool:
+    """Return whether two objects are single boxes whose footprints share no area."""
+    if one.pieces or other.pieces or one.box is None or other.box is None:
+        return False
+    (x, _, z), (x1, _, z1) = one.box
+    (u, _, w), (u1, _, w1) = other.box
+    return x >= u1 or u >= x1 or z >= w1 or w >= z1
 
 
 def shared_sides(one: Thing, other: Thing) -> tuple[int, int, int]:

@@ -172,6 +172,16 @@ def test_a_direction_needs_distance_and_level() -> None:
     assert verdict("east of", made("a", [0, 1, 0]), anchor) == UNDECIDED
 
 
+@pytest.mark.parametrize(("share", "away", "held"), [(0.25, 0.0, True), (0.25, 0.3, False), (0.0, 0.3, True)])
+def test_a_thing_is_held_by_what_enough_of_its_footprint_lies_over(share: float, away: float, held: bool) -> None:
+    """With no share asked for, all that is low enough counts as held, wherever it is."""
+    items = made("cup", [away, 0.55, 0], [0.05, 0.05, 0.05]), made("table", [0, 0.25, 0], [0.2, 0.25, 0.2])
+    cup, table = (Thing.of(item, item.label) for item in items)
+    room = Surroundings([cup, table], 0.0, Thresholds(held_footprint=share))
+    assert room.holds(table, cup) == held
+    assert not room.holds(cup, table)
+
+
 def test_thresholds_are_those_of_the_configuration() -> None:
     wide = Judge(Thresholds(near_true=0.5, near=2.0, near_false=3.0, surface_within=3.0), SurfaceGauge(Shapes(Path())))
     one, other = (Thing.of(made(n, [x, 0, 0], [0.1, 0.1, 0.1]), n) for n, x in (("a", 0.0), ("b", 1.0)))
