@@ -47,7 +47,7 @@ Matches = dict[str, tuple[tuple[int, str, frozenset[str]], ...]]
 """Matches by kind of phrase: (number of words, value, noun classes)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Phrasebook:
     """The phrases of one language.
 
@@ -57,7 +57,8 @@ class Phrasebook:
     room_first : whether a room comes before "there is" ("en la cocina hay") and before the relation of a stop
     letters : a character for each word of the phrases
     first : the characters of the words with which phrases of a kind begin
-    parsed : what the parsers of phrases found in earlier texts; see `PhraseReader`
+    longest : number of words of the longest phrase
+    parsed : what the parsers of phrases found in earlier texts; see `WordReader`
     """
 
     tree: Node
@@ -67,6 +68,7 @@ class Phrasebook:
     room_first: bool
     letters: dict[str, str] = field(default_factory=lambda: {mark: mark for mark in MARKS})
     first: dict[str, set[str]] = field(default_factory=dict)
+    longest: int = 0
     parsed: dict[Any, Any] = field(default_factory=dict)
 
     def tokens(self, text: str) -> list[str]:
@@ -89,6 +91,7 @@ class Phrasebook:
         for token in tokens:
             node = node.setdefault(token, {})
             self.letters.setdefault(token, chr(_FIRST_LETTER + len(self.letters)))
+        self.longest = max(self.longest, len(tokens))
         self.first.setdefault(kind, set()).add(self.letters[tokens[0]])
         node.setdefault(END, []).append((kind, value, frozenset(classes)))
 

@@ -5,13 +5,13 @@ All possible parses are followed; ``reading`` decides which of them form a whole
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
-from condvln.verify.phrasebook import SO_FAR, Matches, Phrasebook
+from condvln.verify.phrasebook import Phrasebook
 from condvln.verify.standpoint import BEARINGS
+from condvln.verify.word_reader import ENDS, WordReader, kept, parsed_once
 
 __all__ = ["Moves", "Named", "Phrase", "PhraseReader"]
 
@@ -47,7 +47,6 @@ class Phrase(NamedTuple):
 Moves = tuple[Phrase, ...]
 
 
-_Match = tuple[int, str, frozenset[str]]
 _Qualifier = tuple[str, tuple[str, ...]]
 """A predicate and the labels of its anchors."""
 _Place = tuple[int, Named | None]
@@ -59,13 +58,6 @@ PAIRED: Final = frozenset({"between"})
 FARTHEST: Final = 2
 """Largest number of marks between a room's name and "that bedroom"."""
 
-_MARKS: Final = frozenset(".;:?")
-"""Punctuation that ends a sentence or a part of one. No phrase goes beyond it."""
-_PAUSES: Final = _MARKS | {","}
-LONGEST_KEPT: Final = 64
-"""Words of the longest part of a sentence whose phrases are kept for later texts."""
-MOST_KEPT: Final = 1 << 14
-"""Parts of sentences whose phrases are kept."""
 _OWNED: Final = {"exists": "has", "absent": "has_no"}
 """Slot of the claim "the kitchen has a lamp", by that of "there's a lamp"."""
 _STOPS: Final = frozenset(".;:")
@@ -80,184 +72,47 @@ def _beside(thing: Phrase, before: Phrase) -> Phrase:
     return thing._replace(room=before.room) if thing.room is None and not at_start else thing
 
 
-F = TypeVar("F")
-
-
-_Parser = Callable[["PhraseReader", int, "Named | None"], Iterator[F]]
-_Parsed = Callable[["PhraseReader", int, "Named | None"], Sequence[F]]
-
-
-def _parsed_once(*first: str) -> Callable[[_Parser[F]], _Parsed[F]]:
-    """Cache the results of a parser, so that each position of a text is parsed once although several readings lead to
-    it.
-
-    first : the kinds of phrases that its results may begin with
-    """
-    kinds = frozenset(first)
-
-    def of(parse: _Parser[F]) -> _Parsed[F]:
-        name = parse.__name__
-
-        def parsed(self: PhraseReader, at: int, last: Named | None) -> Sequence[F]:
-            if self.here(at).keys().isdisjoint(kinds):
-                return ()
-            key = (name, at, last, self.scope)
-            found = self.parsed.get(key)
-            if found is None:
-                found = self.parsed[key] = list(parse(self, at, last))
-            return found
-
-        return parsed
-
-    return of
-
-
-def _kept(*first: str) -> Callable[[_Parser[F]], _Parsed[F]]:
-    """Cache the results of a parser as `_parsed_once`, also for other texts with the same words.
-
-    The results are tuples that begin with a position. They are found without words beyond a comma; or, behind a comma,
-    without words beyond another mark.
-    """
-    kinds = frozenset(first)
-
-    def of(parse: _Parser[F]) -> _Parsed[F]:
-        name = parse.__name__
-
-        def parsed(self: PhraseReader, at: int, last: Named | None) -> Sequence[F]:
-            if self.here(at).keys().isdisjoint(kinds) and not self._is(at, ","):
-                return ()
-            key = (name, at, last, self.scope)
-            found = self.parsed.get(key)
-            if found is None:
-                found = self.parsed[key] = self.from_earlier(key, lambda: parse(self, at, last))
-            return found
-
-        return parsed
-
-    return of
-
-
-class PhraseReader:
-    """Finds the phrases in one text. For each word, the phrases that begin there are looked up only once. What words
-    before a comma say is taken from earlier texts with the same words.
-
-    alone : whether to parse all words of the text itself, which `rest` needs
-    scope : the room named at the beginning of the text, which applies to all objects without a room
-    """
+class PhraseReader(WordReader):
+    """Finds the phrases in one text. What words before a comma say is taken from earlier texts with the same words."""
 
     def __init__(self, book: Phrasebook, text: str, *, alone: bool = False) -> None:
-        self.book = book
-        self.tokens = book.tokens(text)
-        self._letters = book.spelled(self.tokens)
-        self._ends = [at for at, token in enumerate(self.tokens) if token in _MARKS]
-        self._pauses = [at for at, token in enumerate(self.tokens) if token in _PAUSES]
-        self._alone = alone
-        self.furthest = 0
-        self.scope: Named | None = None
-        self._matches: list[Matches | None] = [None] * (len(self.tokens) + 2)
-        self.parsed: dict[tuple[str, int, Named | None, Named | None], list[Any]] = {}
+        super().__init__(book, text, alone=alone)
         self._apart: list[tuple[int, Named]] | None = None
 
-    def rest(self) -> str:
-        """Return some words of the text, starting at the furthest position that was parsed."""
-        return " ".join(self.tokens[self.furthest : self.furthest + 6])
-
-    def from_earlier(
-        self, key: tuple[str, int, Named | None, Named | None], parse: Callable[[], Iterator[Any]]
-    ) -> list[Any]:
-        """Return what `parse` yields, taken from an earlier text that had the same words up to the next comma and named
-        the same rooms before them, if there was one.
-
-        key : name of the parser, position, room named last, scope
-        """
-        name, at, last, scope = key
-        ends = self._ends if self._is(at, ",") else self._pauses
-        after = bisect_left(ends, at)
-        words = self._letters[at : ends[after] + 1 if after < len(ends) else None]
-        if self._alone:
-            return list(parse())
-        before: tuple[Any, ...] = ()
-        if self._set_apart():
-            before = self._told_before(at, words)
-        return self._once((name, last, scope, words, before), at, words, parse)
-
-    def _told_before(self, at: int, words: str) -> tuple[Any, ...]:
+    def told_before(self, at: int, words: str) -> tuple[Any, ...]:
         """Return what the text before the word `at` contributes to the meaning of `words`: the rooms set apart there
         and, if the words may mean one of them by "that bedroom", how far away each is named last.
         """
-        before = tuple(dict.fromkeys([room for place, room in self._set_apart() if place < at]))
+        if not self._set_apart():
+            return ()
+        before = tuple(dict.fromkeys(room for place, room in self._set_apart() if place < at))
         if not before or self.book.first["that"].isdisjoint(words):
             return before
         return (*before, *(min(self._marks_since(at + 1, room.label), FARTHEST + 1) for room in before))
 
-    def _once(self, told: Any, at: int, words: str, parse: Callable[[], Iterator[Any]]) -> list[Any]:
-        """Return what `parse` yields at the word `at`, from an earlier text if one has `told` the same."""
-        if self._alone or len(words) > LONGEST_KEPT:
-            return list(parse())
-        kept = self.book.parsed.get(told)
-        if kept is not None:
-            return [(at + length, *rest) for length, *rest in kept]
-        found = list(parse())
-        if len(found) <= LONGEST_KEPT:
-            if len(self.book.parsed) >= MOST_KEPT:
-                self.book.parsed.clear()
-            self.book.parsed[told] = [(end - at, *rest) for end, *rest in found]
-        return found
-
     # -- words and phrases ---------------------------------------------------------------------------------------------
-
-    def here(self, at: int) -> Matches:
-        """Return the phrases that begin at the word `at`, by kind."""
-        found = self._matches[at]
-        return self._look_up(at) if found is None else found
-
-    def _look_up(self, at: int) -> Matches:
-        if at > self.furthest:
-            self.furthest = at
-        node: Any = self.book.tree
-        for token in self.tokens[at:]:
-            below = node.get(token)
-            if below is None:
-                break
-            node = below
-        found: Matches = node[SO_FAR]
-        self._matches[at] = found
-        return found
-
-    def _of(self, at: int, kind: str) -> Sequence[_Match]:
-        """Return (end, value, classes) of each phrase of a kind that begins at the word `at`."""
-        here = self._matches[at]
-        if here is None:
-            here = self._look_up(at)
-        found = here.get(kind)
-        if found is None:
-            return ()
-        return [(at + words, value, classes) for words, value, classes in found]
-
-    def _is(self, at: int, mark: str) -> bool:
-        return at < len(self.tokens) and self.tokens[at] == mark
 
     def _opening(self) -> Iterator[tuple[int, str | None]]:
         yield 0, None
-        for end, _, _ in self._of(0, "facing"):
-            for stop, direction, _ in self._of(end, "direction"):
-                if self._is(stop, "."):
+        for end, _, _ in self.of(0, "facing"):
+            for stop, direction, _ in self.of(end, "direction"):
+                if self.is_mark(stop, "."):
                     yield stop + 1, direction
 
     def _scopes(self, at: int) -> Iterator[_Place]:
         yield at, None
-        for end, _, _ in self._of(at, "scope"):
+        for end, _, _ in self.of(at, "scope"):
             for stop, room in self._rooms(end):
-                if self._is(stop, ","):
+                if self.is_mark(stop, ","):
                     yield stop + 1, room
 
     def _agreeing(self, at: int, kind: str, classes: frozenset[str]) -> Iterator[tuple[int, str]]:
-        for end, label, own in self._of(at, kind):
+        for end, label, own in self.of(at, kind):
             if own & classes:
                 yield end, label
 
     def _definite(self, at: int, kind: str) -> Iterator[tuple[int, str]]:
-        for end, _, classes in self._of(at, "the"):
+        for end, _, classes in self.of(at, "the"):
             yield from self._agreeing(end, kind, classes)
 
     def _rooms(self, at: int) -> Iterator[tuple[int, Named]]:
@@ -268,10 +123,10 @@ class PhraseReader:
             before = {room for place, room in self._set_apart() if place < at and room.label == label}
             if len(before) < 2:
                 yield end, before.pop() if before else Named(label, None)
-            for after, _, _ in self._of(end, "with"):
+            for after, _, _ in self.of(end, "with"):
                 for stop, anchor in self._definite(after, "noun"):
                     yield stop, Named(label, anchor)
-        for middle, _, classes in self._of(at, "that"):
+        for middle, _, classes in self.of(at, "that"):
             for end, label in self._agreeing(middle, "room", classes):
                 before = {room for place, room in self._set_apart() if place < at and room.label == label}
                 if len(before) == 1 and self._is_named_near(middle, label):
@@ -281,10 +136,10 @@ class PhraseReader:
         """Parse a room followed by the noun of an object in this room, as in "the kitchen sink". Yield (end, label,
         room). Words that are also a single noun, such as "the kitchen cabinet", are left out.
         """
-        for start, _, classes in self._of(at, "the"):
+        for start, _, classes in self.of(at, "the"):
             longest = max((end for end, _ in self._agreeing(start, "noun", classes)), default=start)
             for middle, room in self._agreeing(start, "room", classes):
-                ends = [(end, label) for end, label, _ in self._of(middle, "noun") if end > longest]
+                ends = [(end, label) for end, label, _ in self.of(middle, "noun") if end > longest]
                 if ends:
                     yield *max(ends), Named(room, None)
 
@@ -294,18 +149,18 @@ class PhraseReader:
         """
         if self._apart is None:
             self._apart = []
-            if self._alone or not self.book.first["with"].isdisjoint(self._letters):
+            if self.alone or not self.book.first["with"].isdisjoint(self.letters):
                 begin = 0
-                for end in [*self._pauses, len(self.tokens)]:
-                    words = self._letters[begin : end + 1]
-                    self._apart += self._once(("apart", words), begin, words, partial(self._apart_in, begin, end))
+                for end in [*self.pauses, len(self.tokens)]:
+                    words = self.letters[begin : end + 1]
+                    self._apart += self.once(("apart", words, ()), begin, partial(self._apart_in, begin, end))
                     begin = end
         return self._apart
 
     def _apart_in(self, begin: int, end: int) -> Iterator[tuple[int, Named]]:
         for at in range(begin, end):
             for middle, label in self._definite(at, "room"):
-                for after, _, _ in self._of(middle, "with"):
+                for after, _, _ in self.of(middle, "with"):
                     # The longest noun wins: "the table lamp" is not a table.
                     ends = dict(self._definite(after, "noun"))
                     if ends:
@@ -325,18 +180,18 @@ class PhraseReader:
         named += [
             at
             for at in range(max(named), noun - 1)
-            for end, _, classes in self._of(at, "that")
+            for end, _, classes in self.of(at, "that")
             if any(room == label for _, room in self._agreeing(end, "room", classes))
         ]
-        return sum(token in _MARKS for token in self.tokens[max(named) : noun])
+        return sum(token in ENDS for token in self.tokens[max(named) : noun])
 
     def _related(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
-        for end, predicate, _ in self._of(at, "predicate"):
+        for end, predicate, _ in self.of(at, "predicate"):
             for stop, anchor in self._definite(end, "noun"):
                 if predicate not in PAIRED:
                     yield stop, (predicate, (anchor,))
                     continue
-                for after, _, _ in self._of(stop, "both"):
+                for after, _, _ in self.of(stop, "both"):
                     for place, other in self._definite(after, "noun"):
                         yield place, (predicate, (anchor, other))
 
@@ -344,12 +199,12 @@ class PhraseReader:
         """Parse phrases such as "the bigger lamp", with the adjective before or after the noun. Yield (end, label,
         qualifier).
         """
-        for start, _, article in self._of(at, "the"):
-            for middle, predicate, ending in self._of(start, "superlative"):
+        for start, _, article in self.of(at, "the"):
+            for middle, predicate, ending in self.of(start, "superlative"):
                 for end, label in self._agreeing(middle, "noun", article & ending):
                     yield end, label, (predicate, ())
-            for middle, label, own in self._of(start, "noun"):
-                for end, predicate, ending in self._of(middle, "superlative_behind"):
+            for middle, label, own in self.of(start, "noun"):
+                for end, predicate, ending in self.of(middle, "superlative_behind"):
                     if own & article & ending:
                         yield end, label, (predicate, ())
 
@@ -360,7 +215,7 @@ class PhraseReader:
         lying : whether words like "que está" come before the relation
         """
         yield at, None
-        for start in [at, *(end for end, _, _ in self._of(at, "lying"))] if lying else [at]:
+        for start in [at, *(end for end, _, _ in self.of(at, "lying"))] if lying else [at]:
             yield from self._related(start)
 
     def _where(
@@ -371,17 +226,17 @@ class PhraseReader:
         belonging : directly after a definite noun, where some languages use other words ("la cama del dormitorio")
         """
         yield at, self.scope, last
-        for end, _, _ in self._of(at, "of" if belonging else "of_anchor" if behind else "in"):
+        for end, _, _ in self.of(at, "of" if belonging else "of_anchor" if behind else "in"):
             for stop, room in self._rooms(end):
                 yield stop, room, room
         if last is not None and not belonging and not behind:
-            for end, _, _ in self._of(at, "same_place"):
+            for end, _, _ in self.of(at, "same_place"):
                 yield end, last, last
         if last is not None and (belonging or behind):
-            for end, _, _ in self._of(at, "there"):
+            for end, _, _ in self.of(at, "there"):
                 yield end, last, last
 
-    @_kept("the")
+    @kept("the")
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse one stop as named in moves: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
@@ -394,7 +249,7 @@ class PhraseReader:
                 for after, qualifier in self._qualified(stop, lying=self.book.lying) if stop > end else ():
                     if qualifier is not None:
                         yield after, Phrase(label, qualifier, room), named
-            for stop, bearing, _ in self._of(end, "bearing_stop"):
+            for stop, bearing, _ in self.of(end, "bearing_stop"):
                 # It is where the agent starts; "there" would be ambiguous after it.
                 yield stop, Phrase(label, (bearing, ()), None), None
         for end, label, room in self._in_its_room(at):
@@ -409,12 +264,12 @@ class PhraseReader:
         """Parse claims such as "there's a lamp near the bed". One of the phrases of `slot` takes the place of
         "there's".
         """
-        for end, _, classes in self._of(at, slot):
+        for end, _, classes in self.of(at, slot):
             for after, label in self._agreeing(end, "noun", classes):
                 for stop, qualifier in self._qualified(after):
                     for place, room, named in self._where(stop, last):
                         yield place, Phrase(label, qualifier, room), named
-        for end, _, _ in self._of(at, "in") if self.book.room_first else ():
+        for end, _, _ in self.of(at, "in") if self.book.room_first else ():
             for start, room in self._rooms(end):
                 yield from self._some_in(room, slot, start)
         for end, room in self._rooms(at) if slot in _OWNED else ():
@@ -422,7 +277,7 @@ class PhraseReader:
 
     def _some_in(self, room: Named, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse the rest of a claim that begins with its room: "the kitchen has a lamp near the sink"."""
-        for end, _, classes in self._of(at, slot):
+        for end, _, classes in self.of(at, slot):
             for after, label in self._agreeing(end, "noun", classes):
                 for stop, qualifier in self._qualified(after):
                     yield stop, Phrase(label, qualifier, room), room
@@ -432,7 +287,7 @@ class PhraseReader:
         last).
         """
         for end, room in self._rooms(at):
-            for after, _, classes in self._of(end, "for"):
+            for after, _, classes in self.of(end, "for"):
                 for stop, label in self._agreeing(after, "noun", classes):
                     for place, qualifier in self._qualified(stop):
                         yield place, Phrase(label, qualifier, room), room
@@ -443,17 +298,17 @@ class PhraseReader:
         """
         for end, label in self._definite(at, "noun"):
             for after, room, named in self._where(end, last, belonging=True):
-                verbs = [after] if slot is None else [stop for stop, _, _ in self._of(after, slot)]
+                verbs = [after] if slot is None else [stop for stop, _, _ in self.of(after, slot)]
                 for verb in verbs:
                     for stop, qualifier in self._related(verb):
                         yield stop, Phrase(label, qualifier, room, True), named
-                    for stop, bearing, _ in self._of(verb, "bearing"):
+                    for stop, bearing, _ in self.of(verb, "bearing"):
                         yield stop, Phrase(label, (bearing, ()), room, True), named
         for after, label, room in self._in_its_room(at):
-            for verb in [after] if slot is None else [stop for stop, _, _ in self._of(after, slot)]:
+            for verb in [after] if slot is None else [stop for stop, _, _ in self.of(after, slot)]:
                 for stop, qualifier in self._related(verb):
                     yield stop, Phrase(label, qualifier, room, True), room
-                for stop, bearing, _ in self._of(verb, "bearing"):
+                for stop, bearing, _ in self.of(verb, "bearing"):
                     yield stop, Phrase(label, (bearing, ()), room, True), room
 
     def _looked_at(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
@@ -467,19 +322,19 @@ class PhraseReader:
     def _relations(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
         """Parse a relation or an egocentric direction behind a verb."""
         yield from self._related(at)
-        yield from ((end, (bearing, ())) for end, bearing, _ in self._of(at, "bearing"))
+        yield from ((end, (bearing, ())) for end, bearing, _ in self.of(at, "bearing"))
 
     def _known_in(self, slot: str, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse claims such as ", in the bedroom that has the desk, the lamp is near the bed". The verb is one of the
         phrases of `slot`.
         """
-        for end, _, _ in self._of(at + 1, "in") if self._is(at, ",") else ():
+        for end, _, _ in self.of(at + 1, "in") if self.is_mark(at, ",") else ():
             for stop, room in self._rooms(end):
-                for after, what, named in self._known(slot, stop + 1, room) if self._is(stop, ",") else ():
+                for after, what, named in self._known(slot, stop + 1, room) if self.is_mark(stop, ",") else ():
                     if what.room == self.scope:
                         yield after, what._replace(room=room), named
 
-    @_kept("exists", "exists_again", "absent", "absent_again", "the", "that", "in")
+    @kept("exists", "exists_again", "absent", "absent_again", "the", "that", "in")
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims. Yield (end, True if asserted or False if denied, claim, room named last)."""
         for present, some, known in (
@@ -493,41 +348,41 @@ class PhraseReader:
                 for end, what, named in found:
                     yield end, present, what, named
 
-    @_kept("also", "also_a", "there_also", "nor", "in")
+    @kept("also", "also_a", "there_also", "nor", "in")
     def _joined(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims without their verb: "a lamp in the kitchen" behind "if there's a bed and"."""
         for present, slot in ((True, "also"), (True, "also_a"), (True, "there_also"), (False, "nor")):
             for end, what, named in self._some(slot, at, last):
                 yield end, present, what, named
 
-    @_parsed_once("see", "check", "look_at", "look", "is_there", "asks_is", "in")
+    @parsed_once("see", "check", "look_at", "look", "is_there", "asks_is", "in")
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse requests to look, and questions with their question mark."""
-        for end, _, _ in self._of(at, "see"):
+        for end, _, _ in self.of(at, "see"):
             for stop, present, what, named in self._said(end, last):
                 if present:
                     yield stop, what, named
-        for end, _, _ in self._of(at, "check"):
+        for end, _, _ in self.of(at, "check"):
             yield from self._checked(end)
-        for end, _, _ in self._of(at, "look_at"):
+        for end, _, _ in self.of(at, "look_at"):
             yield from self._looked_at(end, last)
         yield from self._some("look", at, last)
         questions = [*self._some("is_there", at, last)]
-        questions += [found for end, _, _ in self._of(at, "asks_is") for found in self._known(None, end, last)]
-        yield from ((end, what, named) for end, what, named in questions if self._is(end, "?"))
+        questions += [found for end, _, _ in self.of(at, "asks_is") for found in self._known(None, end, last)]
+        yield from ((end, what, named) for end, what, named in questions if self.is_mark(end, "?"))
 
-    @_parsed_once("go")
+    @parsed_once("go")
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves to one or more stops, up to the end of a clause. Punctuation or "if" must follow directly after
         the moves.
         """
-        for start, _, _ in self._of(at, "go"):
+        for start, _, _ in self.of(at, "go"):
             yield from self._things_in_turn(start, last)
 
-    @_parsed_once("to")
+    @parsed_once("to")
     def _verbless_stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves whose verb was said before: "to the lamp"."""
-        for start, _, _ in self._of(at, "to"):
+        for start, _, _ in self.of(at, "to"):
             yield from self._things_in_turn(start, last)
 
     def _things_in_turn(self, start: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
@@ -536,10 +391,10 @@ class PhraseReader:
         ]
         while ahead:
             end, moves, named = ahead.pop()
-            if end < len(self.tokens) and (self.tokens[end] in _STOPS or self._of(end, "if")):
+            if end < len(self.tokens) and (self.tokens[end] in _STOPS or self.of(end, "if")):
                 yield end, moves, named
             for slot in ("then", "second", "last"):
-                for after, _, _ in self._of(end, slot):
+                for after, _, _ in self.of(end, slot):
                     ahead += [
                         (stop, (*moves, _beside(thing, moves[-1])), room)
                         for stop, thing, room in self._things(after, named)

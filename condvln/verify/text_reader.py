@@ -143,10 +143,10 @@ class _Reader(PhraseReader):
         self._continued.add((at, state, base))
         if len(self._continued) == known:
             return
-        for end, _, _ in self._of(at, "list"):
-            if self._is(end, ".") or self._is(end, ":"):
+        for end, _, _ in self.of(at, "list"):
+            if self.is_mark(end, ".") or self.is_mark(end, ":"):
                 self._sentences(whole, end + 1, state._replace(listed=0), base)
-        for end, _, _ in self._of(at, "number"):
+        for end, _, _ in self.of(at, "number"):
             self._sentences(whole, end, state, base)
         reached: _Reached = []
         self._clause(reached, at, state, base)
@@ -164,16 +164,16 @@ class _Reader(PhraseReader):
         """Parse a clause with everything attached to it."""
         here = self.here(at)
         for joint in ("filler", "but"):
-            for end, _, _ in self._of(at, joint) if joint in here else ():
-                self._clause(reached, end + self._is(end, ","), state, base)
-        for end, _, _ in self._of(at, "if") if "if" in here else ():
+            for end, _, _ in self.of(at, joint) if joint in here else ():
+                self._clause(reached, end + self.is_mark(end, ","), state, base)
+        for end, _, _ in self.of(at, "if") if "if" in here else ():
             self._supposed(reached, end, state, base, base)
             self._answered(reached, end, state, base)
         for end, moves, room in self._stops(at, state.room) if not state.asks else ():
-            for after, _, _ in self._of(end, "if"):
+            for after, _, _ in self.of(end, "if"):
                 for place, claimed, cases in self._claimed(after, state._replace(room=room), base):
-                    reached.append((place, self._told(claimed, cases, moves), base))
-        for end, _, _ in self._of(at, "otherwise") if "otherwise" in here else ():
+                    reached.append((place, self._told(claimed, claimed.room, cases, moves), base))
+        for end, _, _ in self.of(at, "otherwise") if "otherwise" in here else ():
             for place in state.open:
                 ask = state.asks[place]
                 supposed = ask.guard if ask.answer is None else ask.answer
@@ -185,10 +185,11 @@ class _Reader(PhraseReader):
                 self._comma(reached, end, meant, ask.context & ~supposed, base)
         self._request(reached, at, state, base, base)
 
-    def _told(self, state: _State, cases: int, moves: Moves) -> _State:
-        """Return the state with one more rule."""
+    def _told(self, state: _State, room: Named | None, cases: int, moves: Moves) -> _State:
+        """Return the state after one more rule, which names `room` last."""
+        _, named, rules, asks, open_ones, listed, early = state
         number = self._numbers.setdefault(moves, len(self._numbers))
-        return state._replace(rules=(*state.rules, (cases, number)))
+        return _State(room, named, (*rules, (cases, number)), asks, open_ones, listed, early)
 
     def _supposed(
         self, reached: _Reached, at: int, state: _State, context: int, base: int, *, joined: bool = False
@@ -209,7 +210,7 @@ class _Reader(PhraseReader):
             context &= ~listed
         claims = self._said(at, room)
         for claimed, present, what, its_room in [*claims, *self._joined(at, room)] if joined else claims:
-            end = next((after for after, _, _ in self._of(claimed, "either")), claimed)
+            end = next((after for after, _, _ in self.of(claimed, "either")), claimed)
             for k, named in _conditions(named_before, asks, what):
                 asked = [ask.context for ask in asks if ask.condition == k]
                 # asked again, so it applies to the same cases as before
@@ -234,12 +235,12 @@ class _Reader(PhraseReader):
         if here.keys().isdisjoint(_ANSWERING):
             return
         for slot, answer, kind in _ANSWERS:
-            for end, _, _ in self._of(at, slot) if slot in here else ():
+            for end, _, _ in self.of(at, slot) if slot in here else ():
                 for place, ask in enumerate(state.asks):
                     if kind is None or state.named[ask.condition].known == kind:
                         self._consequences(reached, end, state, place, answer, base)
         for slot, answer in (("it_is", True), ("it_is_not", False)):
-            for end, _, _ in self._of(at, slot) if slot in here else ():
+            for end, _, _ in self.of(at, slot) if slot in here else ():
                 for stop, qualifier in self._relations(end):
                     for place, ask in enumerate(state.asks):
                         what = state.named[ask.condition]
@@ -248,7 +249,7 @@ class _Reader(PhraseReader):
                             named = (*state.named[: ask.condition], whole, *state.named[ask.condition + 1 :])
                             self._consequences(reached, stop, state._replace(named=named), place, answer, base)
         for slot, count in (("neither", (2,)), ("none", (2, 3))):
-            for end, _, _ in self._of(at, slot) if slot in here else ():
+            for end, _, _ in self.of(at, slot) if slot in here else ():
                 guards = [ask.guard for ask in state.asks if ask.guard is not None]
                 if len(guards) == len(state.asks) and len(guards) in count:
                     cases = _ALWAYS
@@ -262,9 +263,9 @@ class _Reader(PhraseReader):
         """Parse "there's neither a lamp nor a bed", about two conditions named before, and the consequences."""
         pairs = [
             (stop, one, other)
-            for end, _, classes in self._of(at, "neither_a")
+            for end, _, classes in self.of(at, "neither_a")
             for after, one in self._agreeing(end, "noun", classes)
-            for middle, _, its in self._of(after, "nor_a")
+            for middle, _, its in self.of(after, "nor_a")
             for stop, other in self._agreeing(middle, "noun", its)
         ]
         for end, *labels in pairs:
@@ -283,7 +284,7 @@ class _Reader(PhraseReader):
             room,
             named,
             rules,
-            (*asks[:place], ask._replace(answer=guard), *asks[place + 1 :]),
+            (*asks[:place], _Ask(ask.context, ask.condition, ask.guard, guard), *asks[place + 1 :]),
             (*[other for other in open_ones if other != place], place),
             listed,
             early or place != len(asks) - 1,
@@ -294,28 +295,28 @@ class _Reader(PhraseReader):
         """Parse what follows an answer or a claim: the consequences, or one more claim and then the consequences, as in
         "if not, but there's a chair, …".
         """
-        behind_comma = self._is(at, ",")
+        behind_comma = self.is_mark(at, ",")
         if behind_comma:
             self._comma(reached, at, state, context, base)
         here = self.here(at + behind_comma)
         for joint in ("and", "but"):
-            for end, _, _ in self._of(at + behind_comma, joint) if joint in here else ():
+            for end, _, _ in self.of(at + behind_comma, joint) if joint in here else ():
                 self._supposed(reached, end, state, context, base, joined=True)
 
     def _comma(self, reached: _Reached, at: int, state: _State, context: int, base: int) -> None:
         """Parse what follows a comma, for the cases `context`: moves, a request to look, or another "if"."""
-        if not context or not self._is(at, ","):
+        if not context or not self.is_mark(at, ","):
             return
         at += 1
         # A case that gets stops twice makes the whole text invalid, whatever follows.
         if not any(context & cases for cases, _ in state.rules):
-            for start in [at, *(end for end, _, _ in self._of(at, "filler"))]:
+            for start in [at, *(end for end, _, _ in self.of(at, "filler"))]:
                 told = self._stops(start, state.room)
                 # "If not, to the lamp" goes on from a "go to" before it.
                 for end, moves, room in [*told, *self._verbless_stops(start, state.room)] if state.rules else told:
-                    reached.append((end, self._told(state._replace(room=room), context, moves), base))
+                    reached.append((end, self._told(state, room, context, moves), base))
         self._request(reached, at, state, context, context)
-        for end, _, _ in self._of(at, "if"):
+        for end, _, _ in self.of(at, "if"):
             self._supposed(reached, end, state, context, base)
 
     def _request(self, reached: _Reached, at: int, state: _State, context: int, base: int) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from condvln.instructions import parse, reading_of, render
-from condvln.verify import phrases
+from condvln.verify import word_reader
 from condvln.verify.phrasebook import MARKS, SO_FAR, phrasebook
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.text_reader import TextReading, Unreadable, read
@@ -362,10 +362,10 @@ def test_what_a_text_says_does_not_depend_on_the_texts_read_before_it() -> None:
 
 def test_few_and_short_parts_of_earlier_texts_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     phrasebook.cache_clear()
-    monkeypatch.setattr(phrases, "MOST_KEPT", 10)
+    monkeypatch.setattr(word_reader, "MOST_KEPT", 10)
     alone = [found_in(text) for text in ROOMS_APART]
     assert 0 < len(phrasebook("en").parsed) <= 10
-    long = "If there's a lamp near the bed" + " near the bed" * phrases.LONGEST_KEPT
+    long = "If there's a lamp near the bed" + " near the bed" * word_reader.LONGEST_KEPT
     kept = set(phrasebook("en").parsed)
     assert "parsing stops" in str(found_in(f"{long}, go to the sofa."))
     assert {*phrasebook("en").parsed} == kept
