@@ -102,19 +102,15 @@ class Footprint:
         """The footprint as a polygon in the (x, z) plane."""
         return shapely.Polygon(self.center + (CORNERS * self.half) @ self.axes)
 
-    def is_beside(self, low: F64, high: F64) -> bool:
-        """Return whether the footprint is certainly outside the bounds from `low` (3,) to `high` (3,), in metres. The
-        test is coarse: a footprint for which it returns False may still be outside.
+    def is_near(self, points: F64) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the points (n, 3) that may lie inside the footprint; all others are certainly outside.
+        The test is coarse.
         """
+        near = np.zeros(len(points), dtype=bool)
         for box in self.parts or (self,):
             reach = math.hypot(*box.half.tolist()) + ROUNDING
-            apart = [
-                middle - reach > high[axis] or middle + reach < low[axis]
-                for middle, axis in zip(box.center.tolist(), (0, 2), strict=True)
-            ]
-            if not any(apart):
-                return False
-        return True
+            near |= (np.abs(points[:, [0, 2]] - box.center) <= reach).all(axis=1)
+        return near
 
     def distance(self, points: F64) -> F64:
         """Return the horizontal distance (n,) in metres from points (n, 3) to the footprint; 0 inside."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 from weakref import WeakKeyDictionary
 
@@ -118,14 +120,13 @@ def scene_goals(
 
     named : ids of the objects to which episodes may lead; None means all
     """
-    goals = {}
+    around = {}
     for object_id, item in sorted(scene.object_of.items()):
         room = scene.room_of.get(item.room_id)
         if room is not None and (named is None or object_id in named):
-            points = goal_points(item, room, pathfinder, places, rules, obstacles, view)
-            if len(points):
-                goals[object_id] = points
-    return goals
+            around[object_id] = _Around.of(item, room)
+    found = _goal_points(list(around.values()), pathfinder, places, rules, obstacles, view)
+    return {object_id: points for object_id, points in zip(around, found, strict=True) if len(points)}
 
 
 def goal_points(
@@ -144,16 +145,56 @@ def goal_points(
     table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at
     most half the box's perimeter plus WALL_DETOUR, or plus FURNITURE_DETOUR where walls limit what is visible.
     """
-    box = Footprint.of(item)
-    if box is None:
-        box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
-    bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
+    return _goal_points([_Around.of(item, room)], pathfinder, places, rules, obstacles, view)[0]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Around:
+    """An object around which goal points are sought, and its room; `bottom` is its lowest height in metres."""
+
+    item: SceneObject
+    room: Room
+    box: Footprint
+    bottom: float
+
+    @classmethod
+    def of(cls, item: SceneObject, room: Room) -> _Around:
+        box = Footprint.of(item)
+        if box is None:
+            box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
+        bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
+        return cls(item, room, box, bottom)
+
+    @property
+    def height(self) -> float:
+        """Height in metres at which the floor is sought: without a room to give the storey, that is the floor nearest
+        to the object's own bottom.
+        """
+        return self.bottom if self.room.annotation == "scene" else self.room.floor_y
+
+
+def _goal_points(
+    around: Sequence[_Around],
+    pathfinder: Pathfinder,
+    places: PlacesConfig,
+    rules: GoalsConfig,
+    obstacles: Sequence[tuple[SceneObject, Footprint]],
+    view: SceneView | None,
+) -> list[F64]:
+    """Return the goal points of each of several objects; see `goal_points`."""
+    detour = FURNITURE_DETOUR if view is not None and view.walls_known else WALL_DETOUR
+    chosen = [np.empty((0, 3))] * len(around)
+    left = list(range(len(around)))
     for offsets, reach in ((near_rings(rules), rules.reach), (far_rings(rules), rules.reach_at_most)):
-        found = _standing_places(item, room, box, bottom, offsets, reach, pathfinder, places, obstacles, view)
-        if len(found):
-            detour = FURNITURE_DETOUR if view is not None and view.walls_known else WALL_DETOUR
-            return _spread(found, box, rules.points, pathfinder, box.half_perimeter + detour)
-    return np.empty((0, 3))
+        asked = [around[k] for k in left]
+        for k, points in zip(left, _standing_places(asked, offsets, reach, pathfinder, places, obstacles), strict=True):
+            one = around[k]
+            seen = points if view is None else points[_seeing(points, one.item, view, places)]
+            if len(seen):
+                ordered = seen[np.lexsort((seen[:, 2], seen[:, 0], one.box.distance(seen)))]
+                chosen[k] = _spread(ordered, one.box, rules.points, pathfinder, one.box.half_perimeter + detour)
+        left = [k for k in left if not len(chosen[k])]
+    return chosen
 
 
 def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
@@ -175,59 +216,58 @@ def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
 
 
 def _standing_places(
-    item: SceneObject,
-    room: Room,
-    box: Footprint,
-    bottom: float,
+    around: Sequence[_Around],
     offsets: Sequence[float],
     reach: float,
     pathfinder: Pathfinder,
     places: PlacesConfig,
     obstacles: Sequence[tuple[SceneObject, Footprint]],
-    view: SceneView | None,
-) -> F64:
-    if not offsets:
-        return np.empty((0, 3))
-    flat = np.concatenate([box.ring(offset, RING_SPACING) for offset in offsets])
-    # Without a room to give the storey, the floor is the one nearest to the object's own bottom.
-    height = bottom if room.annotation == "scene" else room.floor_y
-    asked = np.column_stack([flat[:, 0], np.full(len(flat), height), flat[:, 1]])
+) -> list[F64]:
+    """Return for each object the places (n, 3) on rings around it at which an agent can stand, in ascending order.
+
+    offsets : radii of the rings; reach : greatest distance from the object's box; all in metres
+    """
+    if not offsets or not around:
+        return [np.empty((0, 3))] * len(around)
+    flat = [np.concatenate([one.box.ring(offset, RING_SPACING) for offset in offsets]) for one in around]
+    owner = np.repeat(np.arange(len(around)), [len(ring) for ring in flat])
+    asked = np.insert(np.concatenate(flat), 1, np.array([one.height for one in around])[owner], axis=1)
     # Each island is asked separately, so that a walkable table top never hides the floor beneath it.
     islands = wide_islands(pathfinder, places)
-    tries = np.concatenate([asked] * len(islands)) if islands else asked[:0]
-    snapped = np.concatenate([pathfinder.snap_points(asked, island) for island in islands] or [asked[:0]])
+    tries, owner = np.concatenate([asked[:0], *[asked] * len(islands)]), np.tile(owner, len(islands))
+    snapped = np.concatenate([asked[:0], *(pathfinder.snap_points(asked, island) for island in islands)])
     good = np.isfinite(snapped).all(axis=1)
     good &= np.hypot(*(snapped - tries)[:, [0, 2]].T) <= SNAP_TOLERANCE
-    points = _distinct(round_mm(snapped[good]))
-    if not len(points):
-        return points
-    hang = bottom - points[:, 1]
-    keep = (hang <= HANG) & (hang >= -SINK) & (box.distance(points) <= reach) & is_standable(pathfinder, points, places)
-    if room.annotation != "scene":
-        keep &= np.abs(points[:, 1] - room.floor_y) <= SINK
-        if room.polygon is not None:
-            keep &= contains_xy(Polygon(room.polygon), points[:, 0], points[:, 2])
-    points = points[keep]
-    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
+    owner, points = _distinct(owner[good], round_mm(snapped[good]))
+    ends = np.searchsorted(owner, np.arange(len(around) + 1))
+    near = [one.box.distance(points[i:j]) <= reach for one, (i, j) in zip(around, pairwise(ends), strict=True)]
+    hang = np.array([one.bottom for one in around])[owner] - points[:, 1]
+    keep = (hang <= HANG) & (hang >= -SINK) & np.concatenate(near) & is_standable(pathfinder, points, places)
+    for room in {id(one.room): one.room for one in around}.values():
+        if room.annotation != "scene":
+            here = np.flatnonzero(np.array([one.room is room for one in around])[owner])
+            keep[here] &= np.abs(points[here, 1] - room.floor_y) <= SINK
+            if room.polygon is not None:
+                keep[here] &= contains_xy(Polygon(room.polygon), points[here, 0], points[here, 2])
+    owner, points = owner[keep], points[keep]
     free = np.ones(len(points), dtype=bool)
     for other, footprint in obstacles:
-        if other.object_id != item.object_id and not footprint.is_beside(low, high):
-            free &= footprint.distance(points) > 0.0
-    points = points[free]
-    if view is not None:
-        points = points[_seeing(points, item, view, places)]
-    if not len(points):
-        return points
-    order = np.lexsort((points[:, 2], points[:, 0], box.distance(points)))
-    return np.asarray(points[order], dtype=np.float64)
+        others = np.array([one.item.object_id != other.object_id for one in around])
+        close = np.flatnonzero(footprint.is_near(points) & others[owner])
+        free[close] &= footprint.distance(points[close]) > 0.0
+    ends = np.searchsorted(owner[free], np.arange(1, len(around)))
+    return np.split(points[free], ends)
 
 
-def _distinct(points: F64) -> F64:
-    """Return the distinct ones of `points` (n, 3), in ascending order, as ``np.unique`` does, but faster."""
-    ordered = points[np.lexsort((points[:, 2], points[:, 1], points[:, 0]))]
+def _distinct(owner: NDArray[np.intp], points: F64) -> tuple[NDArray[np.intp], F64]:
+    """Return the distinct ones of `points` (n, 3) of each of their owners (n,), in ascending order of both, as
+    ``np.unique`` does, but faster.
+    """
+    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], owner))
+    whose, ordered = owner[order], points[order]
     fresh = np.ones(len(ordered), dtype=bool)
-    fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    return np.asarray(ordered[fresh], dtype=np.float64)
+    fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1) | (whose[1:] != whose[:-1])
+    return whose[fresh], np.asarray(ordered[fresh], dtype=np.float64)
 
 
 def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:

@@ -7,9 +7,10 @@ from typing import cast
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.goals import _distinct, _spread, scene_goals
+from condvln.episodes.goals import _distinct, _spread, goal_points, scene_goals
 from condvln.episodes.kernels.spread import farthest_points
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import round_mm
@@ -63,9 +64,31 @@ def test_points_far_from_one_another_are_chosen_one_by_one() -> None:
 
 
 def test_distinct_points_are_those_of_numpy() -> None:
-    points = round_mm(np.random.default_rng(8).integers(0, 3, (200, 3)) / 1000)
-    np.testing.assert_array_equal(_distinct(points), np.unique(points, axis=0))
-    assert _distinct(points[:0]).shape == (0, 3)
+    rng = np.random.default_rng(8)
+    owner, points = rng.integers(0, 3, 300), round_mm(rng.integers(0, 3, (300, 3)) / 1000)
+    whose, found = _distinct(owner, points)
+    np.testing.assert_array_equal(np.column_stack([whose, found]), np.unique(np.column_stack([owner, points]), axis=0))
+    assert _distinct(owner[:0], points[:0])[1].shape == (0, 3)
+
+
+def test_goal_points_of_an_object_do_not_depend_on_the_others() -> None:
+    floor = grid_floor(6, 6, lambda x, z: False)
+    scene = apartment(box("a", 1, 1), box("b", 3, 3), box("c", 5, 2), box("d", 3.2, 3.9))
+    together = scene_goals(scene, floor, PlacesConfig(), GoalsConfig())
+    assert list(together) == ["a", "b", "c", "d"]
+    for name, points in together.items():
+        alone = goal_points(scene.object_of[name], scene.rooms[0], floor, PlacesConfig(), GoalsConfig())
+        np.testing.assert_array_equal(points, alone)
+
+
+@given(st.integers(0, 2**32))
+def test_only_points_near_a_footprint_are_inside(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turned = [Rotation.from_euler("y", angle).as_matrix()[np.ix_([0, 2], [0, 2])] for angle in rng.uniform(0, 7, 2)]
+    boxes = [Footprint(rng.uniform(-2, 2, 2), rng.uniform(0, 1, 2), axes) for axes in turned]
+    points = rng.uniform(-3, 3, (400, 3))
+    for footprint in (*boxes, Footprint(boxes[0].center, boxes[0].half, boxes[0].axes, tuple(boxes))):
+        assert not (footprint.distance(points)[~footprint.is_near(points)] == 0.0).any()
 
 
 def test_only_named_objects_get_goal_points() -> None:
