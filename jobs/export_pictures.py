@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,7 @@ from condvln.explorer.picture import plan_picture
 from condvln.export.report import CardPicture
 from condvln.export.snapshot import NavmeshBytes
 from condvln.export.tables import SnapshotTables
-from condvln.manifest import manifest_lines, manifest_paths
+from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.scene.tables import scene_from_tables
 from condvln.sources.family import FAMILIES
@@ -52,15 +53,17 @@ def _chosen(export: Path, sources: set[str]) -> dict[str, Row]:
     leaves.
     """
     wanted = {source for source in sources if source in FAMILIES and not FAMILIES[source].licensed}
-    found: dict[str, list[Row]] = {source: [] for source in wanted}
+    found: dict[str, list[tuple[int, ManifestLine]]] = {source: [] for source in wanted}
     lines = (line for path in manifest_paths(export) for line in manifest_lines(path))
     for line in lines:
-        source = line.fields().get("source")
+        fields = line.fields()
+        source = fields.get("source")
         if source in found and len(found[source]) < LOOKED_AT:
-            found[source].append(line.row().model_dump(mode="json"))
+            found[source].append((len(fields["leaves"]), line))
             if all(len(rows) == LOOKED_AT for rows in found.values()):
                 break
-    return {source: max(rows, key=lambda row: len(row["leaves"])) for source, rows in found.items() if rows}
+    chosen = {source: max(rows, key=itemgetter(0))[1] for source, rows in found.items() if rows}
+    return {source: line.row().model_dump(mode="json") for source, line in chosen.items()}
 
 
 def _rows(tables: SnapshotTables, name: str, source: str, scene_id: str) -> pa.Table:

@@ -15,7 +15,7 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, hstack
+from scipy.sparse import csr_matrix
 
 from condvln.bias.blocks import NO_GUESS, progressive
 
@@ -138,7 +138,7 @@ def _dot(one: F64, other: F64) -> F64:
     """Return, for each fit, the scalar product of its vectors in `one` and in `other`. Both arrays have the shape
     (words, classes, fits), the result has the shape (fits,).
     """
-    found: F64 = (one * other).sum(axis=(0, 1))
+    found: F64 = np.einsum("wcf,wcf->f", one, other)
     return found
 
 
@@ -163,7 +163,7 @@ class _Fits:
     @classmethod
     def of(cls, features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> _Fits:
         """Return the losses of the fits that :func:`fitted_scores` makes from the same arguments."""
-        table = hstack([features, np.ones((features.shape[0], 1))], format="csr")
+        table = _with_ones(features)
         hot = ((gold[:, None] == np.arange(gold.max() + 1))[:, :, None] & inside[:, None, :]).astype(np.float64)
         absent = np.where(hot.any(axis=0), 0.0, -np.inf)
         penalty = np.full((table.shape[1], 1, inside.shape[1]), PENALTY)
@@ -222,7 +222,7 @@ class _Fits:
     def _direction(self, weights: F64, gradient: F64) -> F64:
         """Return the direction of Newton's step, found by conjugate gradients (Nocedal and Wright, algorithm 5.2)."""
         shares = self._shares(weights)
-        left, found = gradient, np.zeros_like(gradient)
+        left, found = gradient.copy(), np.zeros_like(gradient)
         ahead = -left
         square = _dot(left, left)
         enough = square * np.minimum(FORCING**2, square)
@@ -230,14 +230,27 @@ class _Fits:
             running = square > enough
             if not running.any():
                 break
-            scores = _times(self.table, ahead)
-            spread = shares * (scores - (shares * scores).sum(axis=1, keepdims=True))
-            curved = _times(self.transposed, spread) + self.penalty * ahead
+            spread = _times(self.table, ahead)
+            spread -= np.einsum("tcf,tcf->tf", shares, spread)[:, None]
+            spread *= shares
+            curved = _times(self.transposed, spread)
+            curved += self.penalty * ahead
             length = np.where(running, square / np.where(running, _dot(ahead, curved), 1.0), 0.0)
-            found, left = found + length * ahead, left + length * curved
+            curved *= length
+            left += curved
+            found += length * ahead
             before, square = square, _dot(left, left)
-            ahead = -left + np.where(running, square / np.where(running, before, 1.0), 0.0) * ahead
+            ahead *= np.where(running, square / np.where(running, before, 1.0), 0.0)
+            ahead -= left
         return found
+
+
+def _with_ones(features: csr_matrix) -> csr_matrix:
+    """Return `features` with a last column of ones."""
+    texts, words = features.shape
+    places = np.insert(features.indices, features.indptr[1:], words)
+    starts = features.indptr + np.arange(texts + 1, dtype=features.indptr.dtype)
+    return csr_matrix((np.ones(len(places)), places, starts), shape=(texts, words + 1))
 
 
 def _times(table: csr_matrix, columns: F64) -> F64:

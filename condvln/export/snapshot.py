@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS, Split
 from condvln.export.staging import staged
-from condvln.export.tables import SnapshotTables, joined_by_scene
+from condvln.export.tables import BATCH_ROWS, JoinedScene, SnapshotTables, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
 from condvln.export.variants import ORACLE_COLUMNS, OracleText, kept_texts, oracle_text_of
 from condvln.export.vlnce import SCENE_PATTERNS
@@ -136,7 +136,8 @@ def _write_export(
     report.empty_splits = {str(split): why for split, why in selection.empty.items()}
     report.truth_imbalance = selection.truth_imbalance
     oracle_texts = kept_texts(oracle_texts) if callable(oracle_texts) else oracle_texts
-    vocabulary = config.vocabulary or Vocabulary.of(_texts(tables, splits_of, oracle_texts))
+    rows = _JoinedRows(tables, splits_of)
+    vocabulary = config.vocabulary or Vocabulary.of(_texts(rows, splits_of, oracle_texts))
     report.vocabulary = len(vocabulary.words)
     report.episodes = dict.fromkeys(SPLITS, 0)
     report.scenes = {split: [] for split in SPLITS}
@@ -147,7 +148,7 @@ def _write_export(
     show = None if gate is None else gate.add
     writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs, show=show)
     with writer.open():
-        _write_rows(tables, splits_of, writer, report, progress)
+        _write_rows(rows, splits_of, writer, report, progress)
     if gate is not None:
         report.bias = gate.report()
     for picture in pictures(new) if pictures is not None else ():
@@ -165,7 +166,7 @@ def _write_export(
 
 
 def _write_rows(
-    tables: SnapshotTables,
+    rows: _JoinedRows,
     splits_of: SplitCodes,
     writer: ExportWriter,
     report: ExportReport,
@@ -174,7 +175,7 @@ def _write_rows(
     total = int(sum((codes != OUT).sum() for codes in splits_of.values()))
     for source, codes in splits_of.items():
         at = 0
-        for scene, episodes, instructions in joined_by_scene(tables, source):
+        for scene, episodes, instructions in rows.of(source, None):
             here = codes[at : at + len(episodes)].tolist()
             at += len(episodes)
             chosen = [
@@ -250,8 +251,28 @@ def _write_changelog(
             stream.write(text.encode())
 
 
+ROWS_KEPT: Final = BATCH_ROWS
+"""Number of episodes up to which the rows of a source are kept: as many as are decoded at a time."""
+
 SplitCodes = dict[str, npt.NDArray[np.int8]]
 """By source, the split code of each row of the episodes table in reading order."""
+
+
+class _JoinedRows:
+    """The rows of a snapshot scene by scene, for two passes. Those of a small source are decoded once and kept."""
+
+    def __init__(self, tables: SnapshotTables, splits_of: SplitCodes) -> None:
+        self.tables = tables
+        self._few = {source for source, codes in splits_of.items() if len(codes) <= ROWS_KEPT}
+        self._kept: dict[str, list[JoinedScene]] = {}
+
+    def of(self, source: str, columns: Sequence[str] | None) -> Iterable[JoinedScene]:
+        """Return what :func:`joined_by_scene` yields, with at least the `columns` of the episodes; all if None."""
+        if source not in self._few:
+            return joined_by_scene(self.tables, source, columns)
+        if source not in self._kept:
+            self._kept = {source: list(joined_by_scene(self.tables, source))}
+        return self._kept[source]
 
 
 def _choose(
@@ -272,17 +293,17 @@ def _choose(
     return selection, splits_of, Generated.of(pool)
 
 
-def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_texts: OracleText | None) -> Iterator[str]:
+def _texts(rows: _JoinedRows, splits_of: SplitCodes, oracle_texts: OracleText | None) -> Iterator[str]:
     """Yield all texts of all splits, including the oracle twins."""
     for source, codes in splits_of.items():
         at = 0
         if oracle_texts is None:
-            for batch in tables.batches("episodes", source, ("instruction_text",)):
+            for batch in rows.tables.batches("episodes", source, ("instruction_text",)):
                 texts = batch.column(0).to_pylist()
                 yield from (text for text, code in zip(texts, codes[at:], strict=False) if code != OUT)
                 at += len(texts)
             continue
-        for _, episodes, instructions in joined_by_scene(tables, source, ORACLE_COLUMNS):
+        for _, episodes, instructions in rows.of(source, ORACLE_COLUMNS):
             for row in episodes:
                 if codes[at] != OUT:
                     yield row["instruction_text"]

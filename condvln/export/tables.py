@@ -15,7 +15,15 @@ from condvln.episodes.identity import HASH, ID, with_numbers
 from condvln.export.rows import Row, rows_of
 from schemas.errors import FormatError, MissingFileError, StoreError
 
-__all__ = ["FolderTables", "MemoryTables", "SnapshotTables", "joined_by_scene", "rows_by_scene"]
+__all__ = [
+    "BATCH_ROWS",
+    "FolderTables",
+    "JoinedScene",
+    "MemoryTables",
+    "SnapshotTables",
+    "joined_by_scene",
+    "rows_by_scene",
+]
 
 _REMEDY: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files"
 
@@ -88,7 +96,7 @@ class FolderTables:
         parts = [_opened(path) for path in sorted(folder.glob("part-*.parquet"))]
         if not parts:
             raise MissingFileError("no file of this table exists", where=folder, remedy=_REMEDY)
-        for file in sorted(parts, key=_first_scene):
+        for file in sorted(parts, key=_first_scene) if len(parts) > 1 else parts:
             wanted = _stored(columns, file.schema_arrow.names)
             # Single-threaded: Arrow's thread pool has aborted processes on busy machines when work was left at exit.
             try:
@@ -138,9 +146,11 @@ def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tup
         yield scene, list(rows)
 
 
-def joined_by_scene(
-    tables: SnapshotTables, source: str, columns: Sequence[str] | None = None
-) -> Iterator[tuple[str, list[Row], dict[str, Row]]]:
+JoinedScene = tuple[str, list[Row], dict[str, Row]]
+"""The id of a scene, its episodes, and its instructions by id."""
+
+
+def joined_by_scene(tables: SnapshotTables, source: str, columns: Sequence[str] | None = None) -> Iterator[JoinedScene]:
     """Yield for each scene its id, its episodes, and its instructions by id. Only one scene at a time is in memory.
 
     Raises
