@@ -172,15 +172,15 @@ class LocalStore:
     @contextlib.contextmanager
     def _temporary(self, place: Path, data: Any) -> Iterator[Path]:
         temporary = place.parent / f"{self._TEMPORARY}{secrets.token_hex(8)}"
-        for attempt in range(3):
-            self._make(place.parent)
+        for attempt in range(4):
             try:
                 handle = open(temporary, "xb")  # noqa: SIM115 - closed below
                 break
             except FileNotFoundError:
-                # A sibling swept the empty folder away between the two calls.
-                if attempt == 2:
+                # The folder is new; or a sibling swept it away, empty, between the two calls.
+                if attempt == 3:
                     raise
+                self._make(place.parent)
         try:
             with handle:
                 if hasattr(data, "read"):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -51,7 +52,7 @@ def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Ta
 
 
 def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
-    if table.num_rows < 2 or not keys:
+    if table.num_rows < 2 or not keys or _ascends(table, keys):
         return table
     order = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
     if not np.array_equal(order.to_numpy(), np.arange(table.num_rows, dtype=np.uint64)):
@@ -66,6 +67,22 @@ def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
         row = table.slice(int(np.argmax(same)), 1).select(list(keys)).to_pylist()[0]
         raise StageError(f"table {name!r} has two rows with the sort keys {row}; together they must be unique")
     return table
+
+
+def _ascends(table: pa.Table, keys: tuple[str, ...]) -> bool:
+    """Return whether each row comes after the one before it and differs from it in the sort keys; False, too, where a
+    key is null or not a number. To see this takes a fraction of the time of sorting.
+    """
+    behind = np.zeros(table.num_rows - 1, dtype=bool)
+    equal = ~behind
+    for key in keys:
+        column = table.column(key)
+        if column.null_count:
+            return False
+        one, two = column.slice(0, table.num_rows - 1), column.slice(1)
+        behind |= equal & pc.less(one, two).to_numpy()
+        equal &= pc.equal(one, two).to_numpy()
+    return bool(behind.all())
 
 
 def _refuse_nulls(column: Any, field: pa.Field, where: str) -> None:
@@ -104,6 +121,7 @@ def _empty(kind: pa.DataType) -> Any:
     return pa.array([], type=kind)
 
 
+@lru_cache(maxsize=1024)
 def _type_name(kind: pa.DataType) -> str:
     """Return the name of a column type. The name does not depend on the version of pyarrow, nor on how the values are
     encoded.
