@@ -10,9 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.navigation.follower import FORWARD, STOP, Follower
+from condvln.navigation.follower import STOP
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import yaw_of
+from condvln.verify.walks import Walks
 from schemas.config.constants import PATH_SPACING
 from schemas.evaluation import ManifestEpisode
 
@@ -26,9 +27,7 @@ SLACK: Final = 1e-6
 """Tolerance in steps: a segment of 2.5000000001 m is ten steps of 0.25 m and not eleven."""
 
 
-def check_truth(
-    row: ManifestEpisode, truth: Mapping[str, Any] | None, follower: Follower, certificate: Certificate
-) -> None:
+def check_truth(row: ManifestEpisode, truth: Mapping[str, Any] | None, walks: Walks, certificate: Certificate) -> None:
     """Check the ground-truth entry of a row."""
     try:
         assert truth is not None
@@ -44,7 +43,7 @@ def check_truth(
     if taken is None:
         along = _cut(np.array(row.leaves[row.gold_leaf].reference_path), PATH_SPACING)
     else:
-        along = _walked(row, taken, follower)
+        along = walks.along(row.start_position, yaw_of(row.start_rotation) or 0.0, taken)
         _check_actions(row, taken, along, certificate)
     off = float(np.abs(along - locations).max(initial=0.0)) if along.shape == locations.shape else np.inf
     certificate.holds("ground_truth", off <= ROUNDED, "the places gone through", f"{off} m off", "locations")
@@ -68,15 +67,6 @@ def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, ce
         at += int(near.argmax()) if passed else 0
     end = float(np.linalg.norm(np.array(gold.goals) - along[-1], axis=1).min())
     certificate.holds("ground_truth", end < row.success_distance, row.success_distance, end, "metres left to the goal")
-
-
-def _walked(row: ManifestEpisode, taken: NDArray[np.int8], follower: Follower) -> F64:
-    """Return the positions (n, 3) of an agent that executes the actions `taken`: the start, then the position after
-    each forward step.
-    """
-    walk = follower.walk(row.start_position, yaw_of(row.start_rotation) or 0.0, taken)
-    places: F64 = walk.positions[np.concatenate([[0], np.flatnonzero(taken == FORWARD) + 1])].astype(np.float64)
-    return places
 
 
 def _cut(path: F64, spacing: float) -> F64:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from condvln.navigation.follower import Follower
+from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate
 from condvln.verify.footprints import Obstacles, Reach
@@ -21,6 +21,7 @@ from condvln.verify.geodesics import Geodesics, Point
 from condvln.verify.heading import yaw_of
 from condvln.verify.kernels.separation import clearances, near_goals
 from condvln.verify.rules import VerifierRules
+from condvln.verify.walks import Walks
 from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
@@ -76,7 +77,8 @@ def check_placement(
     rows: Sequence[ManifestEpisode],
     certificates: Sequence[Certificate],
     scene: Scene,
-    follower: Follower,
+    pathfinder: Pathfinder,
+    walks: Walks,
     obstacles: Obstacles,
     rules: VerifierRules,
     *,
@@ -86,7 +88,7 @@ def check_placement(
     lines = _Lines(rows)
     checker = _Checker(scene, rules, walls)
     placed = checker.note(rows, lines)
-    checker.walks.ask(follower.pathfinder)
+    checker.walks.ask(pathfinder)
     checker.look_out(obstacles)
     crossed = iter(obstacles.crossed(lines.corners, lines.corner_ends))
     groups = _Groups(rows)
@@ -94,7 +96,7 @@ def check_placement(
         met = [next(crossed) for _ in row.leaves]
         certificate.holds("in_the_way", met.count(None) == len(met), "free paths", met, "paths")
         checker.check(row, places, certificate)
-        _check_budget(row, groups, follower, rules, certificate)
+        _check_budget(row, groups, walks, rules, certificate)
 
 
 class _Lines:
@@ -337,7 +339,7 @@ class _Groups:
 
 
 def _check_budget(
-    row: ManifestEpisode, groups: _Groups, follower: Follower, rules: VerifierRules, certificate: Certificate
+    row: ManifestEpisode, groups: _Groups, walks: Walks, rules: VerifierRules, certificate: Certificate
 ) -> None:
     """Check the step budget against the configuration, the actions of the longest leaf and, if the budget is
     proportional to the text, the number of words.
@@ -349,7 +351,7 @@ def _check_budget(
     steps = 0
     for k, leaf in enumerate(row.leaves):
         stops = [*(subgoal.position for subgoal in leaf.subgoals), leaf.goals[_end(leaf)]]
-        route = follower.follow(row.start_position, yaw, stops)
+        route = walks.to(row.start_position, yaw, stops)
         certificate.holds("budget", route.arrived, "a walk that arrives", route.outcome, f"leaf {k}")
         steps = max(steps, len(route.actions))
     ceiling, per_word = rules.episodes.step_ceiling, rules.text.steps_per_word

@@ -27,6 +27,7 @@ from condvln.verify.rules import VerifierRules
 from condvln.verify.surfaces import Shapes
 from condvln.verify.text_check import check_meaning
 from condvln.verify.visibility import Onlookers, check_seen
+from condvln.verify.walks import Walks
 from schemas.errors import InputError, MissingFileError, PathEscapeError
 
 __all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_scene"]
@@ -126,11 +127,11 @@ def prove_scene(
         check_seen(row.manifest.program, onlookers, certificate)
         claimed = (row.manifest.navmesh, row.manifest.navmesh_sha256)
         certificate.same("navmesh", claimed, (navmesh.path, navmesh.sha256))
-    follower = Follower(navmesh.pathfinder, max_actions=rules.episodes.step_ceiling)
+    walks = Walks(Follower(navmesh.pathfinder, max_actions=rules.episodes.step_ceiling))
     manifests = [row.manifest for row in rows]
-    check_placement(manifests, certificates, scene, follower, obstacles, rules, walls=sight.walls)
+    check_placement(manifests, certificates, scene, navmesh.pathfinder, walks, obstacles, rules, walls=sight.walls)
     for row, certificate in zip(rows, certificates, strict=True):
-        check_truth(row.manifest, row.truth, follower, certificate)
+        check_truth(row.manifest, row.truth, walks, certificate)
     check_observability(manifests, certificates, sight, referents, rules.places.eye_height)
 
 

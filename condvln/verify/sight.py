@@ -345,15 +345,24 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
     Within triangles they follow the R2 sequence (Roberts 2018), mapped from the square to a triangle by the root map.
     """
     first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = np.linalg.norm(np.cross(along, across), axis=1)
+    (ax, ay, az), (bx, by, bz) = along.T, across.T
+    area = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
     if not area.any():  # degenerate triangles: a line or a point
         area = np.ones(len(triangles))
-    number = np.arange(count)
+    share, root, part = _spread(count)
     upto = np.cumsum(area)
-    face = np.searchsorted(upto, (number + 0.5) / count * upto[-1], side="right").clip(max=len(area) - 1)
-    u, v = (((number + 1) * step % 1.0)[:, None] for step in _R2)
-    points: F64 = first[face] + np.sqrt(u) * ((1.0 - v) * along[face] + v * across[face])
+    face = np.searchsorted(upto, share * upto[-1], side="right").clip(max=len(area) - 1)
+    points: F64 = first[face] + root * ((1.0 - part) * along[face] + part * across[face])
     return points
+
+
+@lru_cache(maxsize=16)
+def _spread(count: int) -> tuple[F64, F64, F64]:
+    """Return for each of `count` points its share of the area (n,), and where in its triangle it lies, (n, 1) each."""
+    number = np.arange(count)
+    u, v = (np.asarray((number + 1) * step % 1.0, np.float64)[:, None] for step in _R2)
+    root: F64 = np.sqrt(u)
+    return (number + 0.5) / count, root, v
 
 
 @lru_cache(maxsize=16)

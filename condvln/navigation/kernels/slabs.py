@@ -13,6 +13,9 @@ __all__ = ["blocked_looks"]
 
 Doubles = npt.NDArray[np.float64]
 
+SLACK = 1e-6
+"""Metres by which the bounds of a box are widened, so that rounding decides nothing."""
+
 
 @inlined
 def _is_above(point: Doubles, center: Doubles, half: Doubles, axes: Doubles, headroom: float, touch: float) -> bool:
@@ -29,6 +32,62 @@ def _is_above(point: Doubles, center: Doubles, half: Doubles, axes: Doubles, hea
         elif abs(begin) > reach:
             return False
     return enter <= leave
+
+
+@inlined
+def _bounds(centers: Doubles, half: Doubles, axes: Doubles) -> tuple[Doubles, Doubles]:
+    """Return the lowest and the highest corner (b, 3) of each box, `SLACK` metres outside it."""
+    low, high = np.empty((len(centers), 3)), np.empty((len(centers), 3))
+    for b in range(len(centers)):
+        for i in range(3):
+            reach = SLACK
+            for axis in range(3):
+                reach += abs(axes[b, i, axis]) * half[b, axis]
+            low[b, i], high[b, i] = centers[b, i] - reach, centers[b, i] + reach
+    return low, high
+
+
+@inlined
+def _end_of_eye(eyes: Doubles, begin: int) -> int:
+    """Return the end of the lines of sight that begin at the same eye as line `begin`."""
+    end = begin + 1
+    while (
+        end < len(eyes)
+        and eyes[end, 0] == eyes[begin, 0]
+        and eyes[end, 1] == eyes[begin, 1]
+        and eyes[end, 2] == eyes[begin, 2]
+    ):
+        end += 1
+    return end
+
+
+@inlined
+def _near_boxes(
+    eyes: Doubles,
+    points: Doubles,
+    begin: int,
+    end: int,
+    low: Doubles,
+    high: Doubles,
+    near: npt.NDArray[np.int64],
+) -> int:
+    """Write to `near` the boxes that the lines from `begin` to `end`, all of one eye, may meet; return their number.
+
+    A line lies within the bounds of its ends, so a box meets none of the lines if it is beyond the bounds of all.
+    """
+    least, most = eyes[begin].copy(), eyes[begin].copy()
+    for k in range(begin, end):
+        for i in range(3):
+            least[i], most[i] = min(least[i], points[k, i]), max(most[i], points[k, i])
+    count = 0
+    for b in range(len(low)):
+        beyond = False
+        for i in range(3):
+            beyond = beyond or low[b, i] > most[i] or high[b, i] < least[i]
+        if not beyond:
+            near[count] = b
+            count += 1
+    return count
 
 
 @compiled
@@ -54,43 +113,44 @@ def blocked_looks(
     centers, half : (b, 3) float64; axes : (b, 3, 3) float64, columns the boxes' axes
     headroom : (b,) float64, metres
     """
-    count = len(centers)
+    low, high = _bounds(centers, half, axes)
     out = np.zeros(len(eyes), np.bool_)
-    begins = np.empty((count, 3), np.float64)  # the eye in each box's axes
-    holds_eye = np.empty(count, np.bool_)
-    of_eye = -1
+    begins = np.empty((len(centers), 3), np.float64)  # the eye in the axes of each box near the lines
+    holds_eye = np.empty(len(centers), np.bool_)
+    near = np.empty(len(centers), np.int64)
+    count = 0
+    until = 0  # end of the lines that begin at the same eye
     last = 0  # the box hit last: lines from one eye to one object often hit the same box
     for k in range(len(eyes)):
+        if k == until:
+            until = _end_of_eye(eyes, k)
+            count = _near_boxes(eyes, points, k, until, low, high, near)
+            last = 0
+            for place in range(count):
+                b = near[place]
+                dx, dy, dz = eyes[k, 0] - centers[b, 0], eyes[k, 1] - centers[b, 1], eyes[k, 2] - centers[b, 2]
+                inside = True
+                for i in range(3):
+                    begins[place, i] = dx * axes[b, 0, i] + dy * axes[b, 1, i] + dz * axes[b, 2, i]
+                    inside = inside and abs(begins[place, i]) <= half[b, i] + touch
+                holds_eye[place] = inside
         x, y, z = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
         length = math.sqrt(x * x + y * y + z * z)
         if not length > touch:
             continue
         margin = touch / length
-        if (
-            of_eye < 0
-            or eyes[k, 0] != eyes[of_eye, 0]
-            or eyes[k, 1] != eyes[of_eye, 1]
-            or eyes[k, 2] != eyes[of_eye, 2]
-        ):
-            for b in range(count):
-                dx, dy, dz = eyes[k, 0] - centers[b, 0], eyes[k, 1] - centers[b, 1], eyes[k, 2] - centers[b, 2]
-                inside = True
-                for i in range(3):
-                    begins[b, i] = dx * axes[b, 0, i] + dy * axes[b, 1, i] + dz * axes[b, 2, i]
-                    inside = inside and abs(begins[b, i]) <= half[b, i] + touch
-                holds_eye[b] = inside
-            of_eye = k
         for number in range(count):
-            b = last + number
-            if b >= count:
-                b -= count
-            if holds_eye[b]:
+            place = last + number
+            if place >= count:
+                place -= count
+            if holds_eye[place]:
                 continue
+            b = near[place]
             enter = -math.inf
             leave = math.inf
             holds_point = True
             for i in range(3):
-                begin = begins[b, i]
+                begin = begins[place, i]
                 way = x * axes[b, 0, i] + y * axes[b, 1, i] + z * axes[b, 2, i]
                 holds_point = holds_point and abs(begin + way) <= half[b, i] + touch
                 if way != 0.0:
@@ -108,6 +168,6 @@ def blocked_looks(
                     holds_point = _is_above(points[k], centers[b], half[b], axes[b], headroom[b], touch)
                 if not holds_point or own[k] == b:
                     out[k] = True
-                    last = b
+                    last = place
                     break
     return out
