@@ -131,13 +131,11 @@ def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | 
     ------
     UsageError : the view needs one heading per eye
     """
-    away = points[None] - eyes[:, None]
     with np.errstate(invalid="ignore", over="ignore"):
-        inside: Flags = np.square(away).sum(axis=2) <= view.range**2
-    if view.pitch is not None:
-        with np.errstate(invalid="ignore"):
-            level = np.hypot(away[:, :, 0], away[:, :, 2])
-            inside &= np.abs(away[:, :, 1]) <= level * math.tan(math.radians(view.pitch))
+        x, y, z = (points[None, :, axis] - eyes[:, None, axis] for axis in range(3))
+        inside: Flags = x * x + y * y + z * z <= view.range**2
+        if view.pitch is not None:
+            inside &= np.abs(y) <= np.hypot(x, z) * math.tan(math.radians(view.pitch))
     if not view.needs_heading:
         return inside
     if headings is None:
@@ -147,13 +145,13 @@ def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | 
     heading = np.asarray(headings, np.float64).reshape(-1, 1)
     if len(heading) != len(eyes):
         raise UsageError(f"there are {len(eyes)} eyes but {len(heading)} headings")
-    ahead = -away[:, :, 0] * np.sin(heading) - away[:, :, 2] * np.cos(heading)
-    aside = away[:, :, 0] * np.cos(heading) - away[:, :, 2] * np.sin(heading)
+    ahead = -x * np.sin(heading) - z * np.cos(heading)
+    aside = x * np.cos(heading) - z * np.sin(heading)
     with np.errstate(invalid="ignore"):
         if view.horizontal_fov != 360:
             inside &= np.abs(aside) <= ahead * math.tan(math.radians(view.horizontal_fov / 2))
         if view.vertical_fov is not None:
-            inside &= np.abs(away[:, :, 1]) <= ahead * math.tan(math.radians(view.vertical_fov / 2))
+            inside &= np.abs(y) <= ahead * math.tan(math.radians(view.vertical_fov / 2))
     return inside
 
 

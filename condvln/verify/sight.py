@@ -163,7 +163,7 @@ class Sight:
         for sought, eyes in wanted:
             known = self._seen.setdefault(sought, {})
             new = places.setdefault(sought, {})
-            new.update((key, eye) for eye in eyes if (key := eye.tobytes()) not in known)
+            new.update((key, eye) for key, eye in zip(_keys(eyes), eyes, strict=True) if key not in known)
         looks: list[_Look] = []
         waiting = 0
         for sought, of in places.items():
@@ -255,7 +255,8 @@ class Sight:
             self._kept = 0
         self.look([(sought, eyes[some])])
         rows = self._seen[sought]
-        seen: Bools = np.any([rows[eyes[at].tobytes()] & facing[at] for at in some], axis=0)
+        keys = _keys(eyes)
+        seen: Bools = np.any([rows[keys[at]] & facing[at] for at in some], axis=0)
         return where.is_seen(seen)
 
     def shares(self, sought: Sought, eyes: F64) -> list[float]:
@@ -271,7 +272,8 @@ class Sight:
 
     def _together(self, sought: Sought, where: _Points, eyes: F64, yaw: float | None) -> Bools:
         rows = self._seen[sought]
-        seen: Bools = np.any([rows[eye.tobytes()] for eye in eyes], axis=0)
+        found = [rows[key] for key in _keys(eyes)]
+        seen: Bools = found[0] if len(found) == 1 else np.any(found, axis=0)
         return seen if yaw is None else seen & in_view(eyes, where.points, self._ahead, [yaw])[0]
 
     def _where(self, sought: Sought) -> _Points | None:
@@ -333,6 +335,12 @@ class Sight:
         if not boxes:
             return None
         return np.concatenate([(middle + (_SIGNS * half) @ axes.T)[_TRIANGLES] for middle, half, axes in boxes])
+
+
+def _keys(eyes: F64) -> list[bytes]:
+    """Return the cache key of each eye (n, 3)."""
+    data, size = eyes.tobytes(), eyes.itemsize * 3
+    return [data[at : at + size] for at in range(0, len(data), size)]
 
 
 def _share(seen: Bools) -> float:

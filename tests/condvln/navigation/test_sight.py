@@ -189,6 +189,30 @@ def test_batches_give_what_single_looks_give(kind: str, monkeypatch: pytest.Monk
     assert around.approximate == (kind == "box")
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_boxes_hide_what_one_of_them_hides(seed: int) -> None:
+    """Also if the lines of an eye, which are tested among the boxes near them, are not asked one after the other."""
+    rng = np.random.default_rng(seed)
+    centers, half = rng.uniform(-4, 4, (40, 3)), rng.uniform(0, 0.8, (40, 3))
+    axes = np.linalg.qr(rng.normal(size=(40, 3, 3)))[0]
+    axes[::3] = np.eye(3)
+    room = rng.choice([0.0, 0.5], 40)
+    eyes = np.repeat(np.concatenate([rng.uniform(-4, 4, (20, 3)), centers[:4]]), 60, axis=0)
+    points = rng.uniform(-5, 5, eyes.shape)
+    points[::7] = (centers + axes[:, :, 0] * half[:, :1])[rng.integers(0, 40, len(points[::7]))]
+    own = rng.integers(-1, 40, len(eyes))
+    every = BoxOccluders(centers, half, axes, room).hidden(eyes, points, own)
+    single = [
+        BoxOccluders(centers[[b]], half[[b]], axes[[b]], room[[b]]).hidden(eyes, points, np.where(own == b, 0, -1))
+        for b in range(40)
+    ]
+    np.testing.assert_array_equal(every, np.any(single, axis=0))
+    assert 0.1 < every.mean() < 0.9
+    order = rng.permutation(len(eyes))
+    shuffled = BoxOccluders(centers, half, axes, room).hidden(eyes[order], points[order], own[order])
+    np.testing.assert_array_equal(shuffled, every[order])
+
+
 def test_first_sight_along_a_path() -> None:
     """Walking along x before the wall, a point behind the middle of the gap shows when the ray fits through."""
     x = np.arange(-6.0, 6.0, 0.1)
