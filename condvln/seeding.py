@@ -19,7 +19,7 @@ BLOCK: Final = 4096
 """Number of uniforms drawn at once: one call into numpy costs as much as drawing a few hundred."""
 
 FEW: Final = 32
-"""Number of uniforms drawn at first where few are needed, as for one text."""
+"""Number of uniforms taken from a stream at a time, and drawn at first where few are needed, as for one text."""
 
 T = TypeVar("T")
 
@@ -44,29 +44,34 @@ class Draws:
 
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator = generator
-        self._stream = np.empty(0)
-        self._block: list[float] = []  # the unread part of the stream, read from its end as well
+        # The stream is read from its end: first the few that were taken from it, then what is unread.
+        self._stream, self._unread = np.empty(0), 0
+        self._few: list[float] = []
         self._next = BLOCK
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
-        if not self._block:
-            self._stream = self._generator.random(BLOCK)
-            self._block = self._stream.tolist()
-        return self._block.pop()
+        if not self._few:
+            if not self._unread:
+                self._stream, self._unread = self._generator.random(BLOCK), BLOCK
+            taken = max(0, self._unread - FEW)
+            self._few, self._unread = self._stream[taken : self._unread].tolist(), taken
+        return self._few.pop()
 
     def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], T]) -> T:
         """Return what `kernel` returns, which draws as this class does, from a stream (see
         ``condvln.instructions.kernels.stream``). The kernel is called again with a longer stream as long as it asks for
         more uniforms than there are.
         """
-        if not self._block:
+        self._unread += len(self._few)
+        self._few = []
+        if not self._unread:
             self._longer()
         while True:
-            left = np.array([len(self._block), 0])
+            left = np.array([self._unread, 0])
             found = kernel(self._stream, left)
             if not left[1]:
-                del self._block[left[0] :]
+                self._unread = int(left[0])
                 return found
             self._longer()
 
@@ -76,8 +81,8 @@ class Draws:
         """
         blocks = [self._generator.random(BLOCK) for _ in range(self._next // BLOCK)]
         self._next *= 2
-        self._stream = np.concatenate([*reversed(blocks), self._stream[: len(self._block)]])
-        self._block = self._stream.tolist()
+        self._stream = np.concatenate([*reversed(blocks), self._stream[: self._unread]])
+        self._unread = len(self._stream)
 
     def index(self, n: int) -> int:
         """Return a random index below `n`. All indices are equally likely, except for a negligible bias of n · 2⁻⁵³."""
@@ -116,15 +121,15 @@ class FewDraws(Draws):
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
-        if not self._block and isinstance(self._generator.bit_generator, np.random.PCG64):
+        if not self._few and isinstance(self._generator.bit_generator, np.random.PCG64):
             bits = self._generator.bit_generator
             if not self._is_begun:
                 # A block is read from its end, and each uniform is one step of the generator.
                 bits.advance(BLOCK - FEW)
-                self._block = self._generator.random(FEW).tolist()
+                self._few = self._generator.random(FEW).tolist()
             else:
                 bits.advance(2**128 - BLOCK)
-                self._block = self._generator.random(BLOCK - FEW).tolist()
+                self._few = self._generator.random(BLOCK - FEW).tolist()
                 bits.advance(FEW)
             self._is_begun = not self._is_begun
         return super().uniform()
