@@ -14,7 +14,7 @@ import hashlib
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import combinations
+from itertools import combinations, islice, repeat
 from typing import Any, Final
 
 import numpy as np
@@ -305,24 +305,25 @@ def _of_room(
     here, possible = _seen(arrays), set(arrays.labels)
     possible = possible.union(*called_otherwise(arrays))
     absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
-    parts = [
-        _rows(["", *here], "", "", False, [1] * (1 + len(here)), 0),
-        _rows(list(absent), "", "", False, 0, [1] * len(absent)),
-    ]
+    rows = _Rows()
+    rows.add(["", *here], "", repeat(""), repeat(False), repeat(1), repeat(0))
+    rows.add([*absent], "", repeat(""), repeat(False), repeat(0), repeat(1))
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
         for truths in statement_truths(referents, vocabulary):
-            rows, columns = np.nonzero(truths.true | truths.false)
-            keys = np.array([truths.anchor_key(k, arrays.labels) for k in range(len(truths.anchors))], dtype=object)
-            labels, anchors = np.array(truths.labels, dtype=object)[rows], keys[columns]
-            true, false = truths.true[rows, columns], truths.false[rows, columns]
-            parts.append(_rows(labels, truths.predicate, anchors, truths.definite[rows], true, false))
-    joined = pa.concat_tables(parts)
+            subjects, anchors = np.nonzero(truths.true | truths.false)
+            keys = [truths.anchor_key(k, arrays.labels) for k in range(len(truths.anchors))]
+            rows.add(
+                [truths.labels[k] for k in subjects.tolist()],
+                truths.predicate,
+                [keys[k] for k in anchors.tolist()],
+                truths.definite[subjects].tolist(),
+                truths.true[subjects, anchors].astype(np.int64).tolist(),
+                truths.false[subjects, anchors].astype(np.int64).tolist(),
+            )
     layout = layout_of(scene_id)
-    for at, value in enumerate((layout, scene_id if layout else "", room.label)):
-        joined = joined.set_column(at, PRIORS.field(at), pa.repeat(value, joined.num_rows))
-    return joined
+    return rows.table(layout, scene_id if layout else "", room.label)
 
 
 def _seen(arrays: RoomArrays) -> set[str]:
@@ -330,19 +331,34 @@ def _seen(arrays: RoomArrays) -> set[str]:
     return {label for label, hidden in zip(arrays.labels, arrays.hidden, strict=True) if not hidden}
 
 
-def _rows(labels: Any, predicate: str, anchors: Any, definite: Any, true: Any, false: Any) -> pa.Table:
-    """Return rows of the counts `true` and `false`, with empty layout, staging and room type. An argument that is a
-    single value fills its whole column.
-    """
-    n = len(labels)
+class _Rows:
+    """Rows of counts in one room of one scene, collected as columns."""
 
-    def column(values: Any, kind: pa.DataType) -> pa.Array:
-        return pa.repeat(pa.scalar(values, kind), n) if isinstance(values, str | int) else pa.array(values).cast(kind)
+    def __init__(self) -> None:
+        self._columns: tuple[list[Any], ...] = ([], [], [], [], [], [])
 
-    kinds = [pa.string()] * 6 + [pa.bool_()] + [pa.int64()] * 2
-    values = ["", "", "", labels, predicate, anchors, definite, true, false]
-    columns = [column(value, kind) for value, kind in zip(values, kinds, strict=True)]
-    return pa.table(dict(zip(PRIORS.names, columns, strict=True)), schema=PRIORS)
+    def add(
+        self,
+        labels: list[str],
+        predicate: str,
+        anchors: Iterable[str],
+        definite: Iterable[bool],
+        true: Iterable[int],
+        false: Iterable[int],
+    ) -> None:
+        """Add a row for each label; of the other values, only as many are taken."""
+        for column, values in zip(
+            self._columns, (labels, repeat(predicate), anchors, definite, true, false), strict=True
+        ):
+            column.extend(islice(values, len(labels)))
+
+    def table(self, *same: str) -> pa.Table:
+        """Return the rows; `same` are their layout, staging and type of room."""
+        n = len(self._columns[0])
+        kinds = [kind.type for kind in PRIORS]
+        columns = [pa.repeat(pa.scalar(value, pa.string()), n) for value in same]
+        columns += [pa.array(values, kind) for values, kind in zip(self._columns, kinds[3:], strict=True)]
+        return pa.table(columns, schema=PRIORS)
 
 
 def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple[Room, RoomArrays]]]]:
