@@ -1,5 +1,5 @@
-"""How kernels are compiled, and how their compilation is announced. Only this module and ``condvln.kernel_cache`` use
-numba.
+"""How kernels are compiled, and how their compilation is announced. Only this module, ``condvln.uncounted``
+and ``condvln.kernel_cache`` use numba.
 
 Rules every kernel of this package follows:
 
@@ -19,18 +19,15 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from types import FunctionType
-from typing import Any, Final, ParamSpec, Protocol, TypeVar, cast
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
 from numba.core import event as numba_event
-from numba.core import types
-from numba.core.errors import TypingError
-from numba.core.types.containers import BaseTuple
-from numba.extending import intrinsic
 
 from condvln.collector import no_collection
 from condvln.kernel_cache import KernelCache
+from condvln.uncounted import keep, uncounted
 
 __all__ = [
     "compilation_reported_to",
@@ -47,7 +44,6 @@ __all__ = [
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C", int, bool)
-V = TypeVar("V")
 Notify = Callable[[str], None]
 
 _OPTIONS: Final = {
@@ -95,50 +91,6 @@ def constant(value: C) -> C:
     For each integer or truth value of Python, numba would compile the kernel that gets it once more.
     """
     return cast("C", np.bool_(value) if isinstance(value, bool) else np.int64(value))
-
-
-class _SameValue(Protocol):
-    def __call__(self, value: V, /) -> V: ...
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _uncounted(typing: object, value: Any) -> Any:
-    def without(context: Any, builder: Any, kind: Any, native: Any) -> Any:
-        if isinstance(kind, types.Array):
-            array = context.make_array(kind)(context, builder, value=native)
-            array.meminfo = array.meminfo.type(None)
-            array.parent = array.parent.type(None)
-            return array._getvalue()
-        if isinstance(kind, BaseTuple):
-            for k, part in enumerate(kind.types):
-                changed = without(context, builder, part, builder.extract_value(native, k))
-                native = builder.insert_value(native, changed, k)
-            return native
-        if isinstance(kind, types.Number | types.Boolean):
-            return native
-        raise TypingError(f"references to {kind} are counted")
-
-    return value(value), lambda context, builder, _, native: without(context, builder, value, native[0])
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _keep(typing: object, value: Any) -> Any:
-    return types.none(value), lambda context, builder, signature, native: context.get_dummy_value()
-
-
-uncounted: Final = cast("_SameValue", _uncounted)
-"""Return, within a kernel, the same array or tuple of arrays, whose references are not counted any more.
-
-A kernel counts a reference of each array of its arguments when it begins and when it ends, with atomic instructions.
-With the dozen arrays of a navmesh, that is a large part of a kernel that is called often. So a kernel that Python calls
-hands on its arrays uncounted: the caller holds them until it returns. They must not be returned; arrays that the kernel
-made itself must be kept, see `keep`.
-"""
-
-keep: Final = cast("Callable[[object], None]", _keep)
-"""Keep, within a kernel, an array or tuple of arrays until here: it is freed after the last line that uses it, and the
-use of its uncounted twin does not count.
-"""
 
 
 def _dispatcher(function: Callable[P, R], options: Mapping[str, object]) -> Callable[P, R]:

@@ -17,6 +17,7 @@ import os
 import pickle
 import platform
 import secrets
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -203,7 +204,8 @@ def _value(value: object) -> object:
     if isinstance(value, np.dtype | numba.types.Type):
         return "type", type(value).__qualname__, repr(value)
     if isinstance(value, _Intrinsic):
-        return "intrinsic", _content(value._defn)[0]
+        module = sys.modules[value._defn.__module__]  # of this package, the whole module counts
+        return "intrinsic", _name_of(value._defn), _own_file(module) or _content(value._defn)[0]
     if isinstance(value, np.ufunc | BuiltinFunctionType):
         return "function", getattr(value, "__module__", None), value.__name__
     # Nothing says what else may hold. A kernel that uses it is compiled in each process; a stale one would be wrong.
@@ -228,7 +230,8 @@ def _described(signature: Any) -> object:
         return owner.__module__, owner.__qualname__, signature.fields, inner
     if isinstance(signature, tuple | BaseTuple):
         return [_described(one) for one in signature]
-    return str(signature)
+    owner = type(signature)
+    return str(signature) if owner.__module__.startswith("numba.") else (owner.__module__, str(signature))
 
 
 def _write(path: Path, content: bytes) -> None:

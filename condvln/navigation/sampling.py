@@ -63,7 +63,8 @@ class Sampler:
         return weights
 
     def _within(self, centre: Floats, radius: float) -> npt.NDArray[np.bool_]:
-        near = [clamp_to_polygon(self._mesh, poly, *centre) for poly in range(len(self._weights))]
+        corners = self._mesh.verts, self._mesh.poly_verts, self._mesh.poly_size
+        near = [clamp_to_polygon(*corners, poly, *centre) for poly in range(len(self._weights))]
         return np.array([np.hypot(x - centre[0], z - centre[2]) < radius for x, _, z in near], bool)
 
     def _draw(self, count: int, rng: np.random.Generator, weights: npt.NDArray[np.float64]) -> Floats:

@@ -24,7 +24,8 @@ from numba.typed import List
 
 import condvln
 import condvln.navigation
-from condvln.compiled import compiled, keep, uncounted
+from condvln.compiled import compiled
+from condvln.uncounted import keep, uncounted
 
 KERNEL = """
 import sys
@@ -235,13 +236,31 @@ def test_uncounted_arrays_are_the_same_memory_and_live_as_long_as_they_are_kept(
     assert (sys.getrefcount(numbers), sys.getrefcount(seen)) == references
 
 
-def test_what_else_is_counted_cannot_be_uncounted() -> None:
+@compiled
+def _copied(numbers: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    return uncounted(numbers)[1:].copy(), np.empty_like(uncounted(numbers))
+
+
+def test_a_copy_of_an_uncounted_array_is_counted() -> None:
+    """Else nothing would free it."""
+    copied, alike = _copied(np.arange(3.0))
+    assert copied.tolist() == [1.0, 2.0]
+    assert alike.shape == (3,)
+
+
+def test_what_would_not_be_freed_or_held_does_not_compile() -> None:
     @compiled
     def first(texts: list[float]) -> float:
         return uncounted(texts)[0]
 
+    @compiled
+    def view(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return uncounted(numbers)[1:]
+
     with pytest.raises(TypingError, match="references to ListType"):
         first(List([1.0]))
+    with pytest.raises(TypingError, match="can't be returned to Python"):
+        view(np.zeros(2))
 
 
 def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:

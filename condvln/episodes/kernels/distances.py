@@ -7,13 +7,14 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, keep, uncounted
+from condvln.compiled import compiled
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NO_POLYGON
 from condvln.navigation.kernels.route import route_between
 from condvln.navigation.kernels.straight import MAX_POINTS
 from condvln.navigation.tile import Floats, Indices
+from condvln.uncounted import keep, uncounted
 from schemas.config.constants import SNAP_AT_MOST
 
 __all__ = ["apart_objects", "distance_between", "nearest_points", "straight_distance"]
@@ -52,10 +53,14 @@ def distance_between(
         search,
         asked[one],
         polys[one],
-        at[one],
+        at[one, 0],
+        at[one, 1],
+        at[one, 2],
         asked[other],
         polys[other],
-        at[other],
+        at[other, 0],
+        at[other, 1],
+        at[other, 2],
         points,
     )
     return (float(length) if math.isfinite(length) else math.inf), count

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, keep, uncounted
+from condvln.compiled import compiled, inlined
 from condvln.episodes.kernels.distances import distance_between, straight_distance
 from condvln.episodes.kernels.ways import comes_within, passes_through
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.straight import MAX_POINTS
 from condvln.navigation.tile import Floats, Indices
+from condvln.uncounted import keep, uncounted
 
 __all__ = [
     "FITS",

@@ -58,12 +58,13 @@ def new_search(polygons: int) -> Search:
 
 
 @compiled
-def bubble_up(search: Search, place: int, node: int) -> None:
-    """Move ``node`` from ``place`` towards the root of the heap as long as its total is less than its parent's."""
-    heap = search.heap
-    total = search.total[node]
+def bubble_up(heap: Indices, total: Floats, place: int, node: int) -> None:
+    """Move ``node`` from ``place`` towards the root of the heap as long as its total is less than its parent's. The
+    arrays are those of the ``Search``, here and below.
+    """
+    least = total[node]
     parent = (place - 1) // 2
-    while place > 0 and search.total[heap[parent]] > total:
+    while place > 0 and total[heap[parent]] > least:
         heap[place] = heap[parent]
         place = parent
         parent = (place - 1) // 2
@@ -71,60 +72,66 @@ def bubble_up(search: Search, place: int, node: int) -> None:
 
 
 @compiled
-def push(search: Search, node: int) -> None:
+def push(heap: Indices, total: Floats, counters: Indices, node: int) -> None:
     """Put a node on the heap."""
-    search.counters[1] += 1
-    bubble_up(search, search.counters[1] - 1, node)
+    counters[1] += 1
+    bubble_up(heap, total, counters[1] - 1, node)
 
 
 @compiled
-def moved_up(search: Search, node: int) -> None:
+def moved_up(heap: Indices, total: Floats, counters: Indices, node: int) -> None:
     """Restore the order of the heap after the total of ``node`` has decreased."""
-    for place in range(search.counters[1]):
-        if search.heap[place] == node:
-            bubble_up(search, place, node)
-            return
+    place = 0
+    while place < counters[1] and heap[place] != node:
+        place += 1
+    if place < counters[1]:
+        bubble_up(heap, total, place, node)
 
 
 @compiled
-def pop(search: Search) -> int:
+def pop(heap: Indices, total: Floats, counters: Indices) -> int:
     """Remove and return the node with the least total, which is the root of the heap. As in Detour, the gap at the root
     first sinks to a leaf of the heap; then the heap's last node is put into this gap and rises.
     """
-    heap = search.heap
     result = heap[0]
-    search.counters[1] -= 1
-    size = search.counters[1]
+    counters[1] -= 1
+    size = counters[1]
     last = heap[size]
     place = 0
     child = 1
     while child < size:
-        if child + 1 < size and search.total[heap[child]] > search.total[heap[child + 1]]:
+        if child + 1 < size and total[heap[child]] > total[heap[child + 1]]:
             child += 1
         heap[place] = heap[child]
         place = child
         child = place * 2 + 1
-    bubble_up(search, place, last)
+    bubble_up(heap, total, place, last)
     return int(result)
 
 
 @compiled
-def edge_to(mesh: QueryMesh, poly: int, other: int) -> int:
-    """Return the first edge of ``poly`` that leads to ``other``."""
-    for edge in range(mesh.poly_size[poly]):
-        if mesh.neighbours[poly, edge] == other:
-            return edge
-    return -1
+def edge_to(neighbours: Indices, poly_size: Indices, poly: int, other: int) -> int:
+    """Return the first edge of ``poly`` that leads to ``other``, -1 for none. The arrays are those of the
+    ``QueryMesh``.
+    """
+    edge, size = 0, poly_size[poly]
+    while edge < size and neighbours[poly, edge] != other:
+        edge += 1
+    return edge if edge < size else -1
 
 
 @compiled
-def place_at_edge(mesh: QueryMesh, search: Search, poly: int, edge: int, other: int) -> None:
-    """Set the position of the node ``other`` to the middle of an edge of ``poly``."""
-    a = mesh.poly_verts[poly, edge]
-    b = mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]
-    search.position[other, 0] = (mesh.verts[a, 0] + mesh.verts[b, 0]) * HALF
-    search.position[other, 1] = (mesh.verts[a, 1] + mesh.verts[b, 1]) * HALF
-    search.position[other, 2] = (mesh.verts[a, 2] + mesh.verts[b, 2]) * HALF
+def place_at_edge(
+    verts: Floats, poly_verts: Indices, poly_size: Indices, position: Floats, poly: int, edge: int, other: int
+) -> None:
+    """Set the position of the node ``other`` to the middle of an edge of ``poly``. The arrays are those of the
+    ``QueryMesh`` and the ``Search``.
+    """
+    a = poly_verts[poly, edge]
+    b = poly_verts[poly, edge + 1 if edge + 1 < poly_size[poly] else 0]
+    position[other, 0] = (verts[a, 0] + verts[b, 0]) * HALF
+    position[other, 1] = (verts[a, 1] + verts[b, 1]) * HALF
+    position[other, 2] = (verts[a, 2] + verts[b, 2]) * HALF
 
 
 @inlined
@@ -149,41 +156,45 @@ def find_corridor(
         return 1
     search.counters[0] += 1
     this_round = search.counters[0]
-    search.counters[1] = 0
+    verts, poly_verts, poly_size, neighbours = mesh.verts, mesh.poly_verts, mesh.poly_size, mesh.neighbours
     position, state, total, cost, parent = search.position, search.state, search.total, search.cost, search.parent
-    search.round[start] = this_round
+    heap, counters, visited, remaining = search.heap, search.counters, search.round, search.remaining
+    counters[1] = 0
+    visited[start] = this_round
     nodes = 1
     position[start, 0], position[start, 1], position[start, 2] = sx, sy, sz
-    search.remaining[start] = distance(sx, sy, sz, ex, ey, ez)
+    remaining[start] = distance(sx, sy, sz, ex, ey, ez)
     parent[start] = -1
     cost[start] = ZERO
-    total[start] = search.remaining[start] * HEURISTIC_SCALE
+    total[start] = remaining[start] * HEURISTIC_SCALE
     state[start] = OPEN
-    push(search, start)
+    push(heap, total, counters, start)
     reached = False
-    while search.counters[1] > 0:
-        best = pop(search)
+    while counters[1] > 0:
+        best = pop(heap, total, counters)
         state[best] = CLOSED
         if best == end:
             reached = True
             break
         x, y, z = position[best, 0], position[best, 1], position[best, 2]
         so_far, before = cost[best], parent[best]
-        for edge in range(mesh.poly_size[best]):
-            other = mesh.neighbours[best, edge]
+        for edge in range(poly_size[best]):
+            other = neighbours[best, edge]
             if other < 0 or other == before or not mesh.walkable[other]:
                 continue
-            if search.round[other] != this_round:
+            if visited[other] != this_round:
                 if nodes >= MAX_NODES:
                     return 0
                 nodes += 1
-                search.round[other] = this_round
+                visited[other] = this_round
                 state[other] = 0
-                place_at_edge(mesh, search, best, edge, other)  # the first edge that leads there
+                place_at_edge(
+                    verts, poly_verts, poly_size, position, best, edge, other
+                )  # the first edge that leads there
                 ahead = distance(position[other, 0], position[other, 1], position[other, 2], ex, ey, ez)
-                search.remaining[other] = ahead
+                remaining[other] = ahead
             else:
-                ahead = search.remaining[other]
+                ahead = remaining[other]
             step = distance(x, y, z, position[other, 0], position[other, 1], position[other, 2])
             if other == end:
                 new_cost = so_far + step + ahead
@@ -197,10 +208,10 @@ def find_corridor(
             cost[other] = new_cost
             total[other] = new_total
             if state[other] == OPEN:
-                moved_up(search, other)
+                moved_up(heap, total, counters, other)
             else:
                 state[other] = OPEN
-                push(search, other)
+                push(heap, total, counters, other)
     if not reached:
         return 0
     length = 1

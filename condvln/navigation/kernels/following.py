@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, keep, uncounted
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.geometry import ONE, ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -24,6 +24,7 @@ from condvln.navigation.kernels.movement import Place, StepMemory, copy_place, n
 from condvln.navigation.kernels.route import INFINITE, route_between
 from condvln.navigation.kernels.straight import MAX_POINTS
 from condvln.navigation.tile import Floats, Indices
+from condvln.uncounted import keep, uncounted
 
 STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the action ids of VLN-CE
 ARRIVED, NO_PATH, STUCK, TOO_LONG = 0, 1, 2, 3
@@ -73,7 +74,11 @@ def _remaining(mesh: QueryMesh, search: Search, place: Place, goal: Place, point
     """Return the geodesic distance from a place to the goal, and the number of corners of the path. The corners are
     written to ``points``.
     """
-    return route_between(mesh, search, place.asked, place.poly[0], place.at, goal.asked, goal.poly[0], goal.at, points)
+    at, to = place.at, goal.at
+    return route_between(
+        mesh, search, place.asked, place.poly[0], at[0], at[1], at[2], goal.asked, goal.poly[0], to[0], to[1], to[2],
+        points,
+    )  # fmt: skip
 
 
 @inlined
@@ -175,13 +180,16 @@ def _can_go_on(
     points: Floats,
 ) -> bool:
     """Return whether some step from a place at a wall shortens the path to the goal."""
-    tried = new_place()
+    held, found = new_place(), False
+    tried = uncounted(held)
     for heading in range(gait.moves.shape[0]):
         _try_heading(mesh, gait, place, heading, memory, tried)
         after, _ = _remaining(mesh, search, tried, goal, points)
         if distance - after >= LEAST_PROGRESS:
-            return True
-    return False
+            found = True
+            break
+    keep(held)
+    return found
 
 
 @inlined
@@ -201,24 +209,24 @@ def _way_around(
 
     Best-first search over positions reached by steps, nearest to the goal first.
     """
-    places = np.empty((MAX_AROUND, 3), np.float32)
-    snapped = np.empty((MAX_AROUND, 3), np.float32)
-    polys = np.empty((MAX_AROUND, 1), np.int64)
+    held = np.empty((2, MAX_AROUND, 3), np.float32), np.empty((MAX_AROUND, 1), np.int64), new_place()
+    both, polys, tried = uncounted(held)
+    places, snapped = both[0], both[1]
+    found = np.empty(0, np.int64)
     left = np.empty(MAX_AROUND, np.float32)
     parent = np.empty(MAX_AROUND, np.int64)
     taken = np.empty(MAX_AROUND, np.int64)
     done = np.zeros(MAX_AROUND, np.bool_)
     copy_place(place, Place(places[0], snapped[0], polys[0]))
     left[0], parent[0], taken[0] = distance, -1, -1
-    count = int(ONE)
-    tried = new_place()
-    while True:
+    count, searching = int(ONE), True
+    while searching:
         node = -1
         for i in range(count):
             if not done[i] and (node < 0 or left[i] < left[node]):
                 node = i
         if node < 0:
-            return np.empty(0, np.int64)
+            break
         done[node] = True
         begin = Place(places[node], snapped[node], polys[node])
         for heading in range(gait.moves.shape[0]):
@@ -227,12 +235,17 @@ def _way_around(
                 continue
             after, _ = _remaining(mesh, search, tried, goal, points)
             if count == MAX_AROUND:
-                return np.empty(0, np.int64)
+                searching = False
+                break
             copy_place(tried, Place(places[count], snapped[count], polys[count]))
             left[count], parent[count], taken[count] = after, node, heading
             count += 1
             if after < distance - LEAST_PROGRESS:
-                return _headings_to(parent, taken, count - 1)
+                found = _headings_to(parent, taken, count - 1)
+                searching = False
+                break
+    keep(held)
+    return found
 
 
 @inlined
@@ -339,7 +352,7 @@ def follow(
     )
     search, memory, place, reached, goal, corners = uncounted(held)
     points, scratch = corners[0], corners[1]
-    put(mesh, start, place)
+    put(mesh, uncounted(start), place)
     locations[0] = start
     made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees again
     status = ARRIVED
@@ -422,7 +435,7 @@ def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.i
     places[0], facing[0] = start, 0
     held = (new_step_memory(), new_place(), new_place())
     memory, place, reached = uncounted(held)
-    put(mesh, start, place)
+    put(mesh, uncounted(start), place)
     for i in range(actions.shape[0]):
         facing[i + 1] = facing[i]
         if actions[i] == FORWARD:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from condvln.compiled import compiled, inlined
-from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.tile import Floats
+from condvln.navigation.tile import Floats, Indices
 
 ZERO = np.float32(0.0)
 ONE = np.float32(1.0)
@@ -66,18 +65,22 @@ def distance(
 
 
 @compiled
-def inside_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> bool:
-    """Return whether the vertical line through (x, z) meets the polygon (even–odd rule)."""
+def inside_polygon(
+    verts: Floats, poly_verts: Indices, poly_size: Indices, poly: int, x: np.float32, z: np.float32
+) -> bool:
+    """Return whether the vertical line through (x, z) meets the polygon (even–odd rule). The arrays are those of the
+    ``QueryMesh``.
+    """
     inside = False
-    size = mesh.poly_size[poly]
+    size = poly_size[poly]
     j = size - 1
     for i in range(size):
-        vi = mesh.poly_verts[poly, i]
-        vj = mesh.poly_verts[poly, j]
-        xi = mesh.verts[vi, 0]
-        zi = mesh.verts[vi, 2]
-        zj = mesh.verts[vj, 2]
-        if (zi > z) != (zj > z) and x < (mesh.verts[vj, 0] - xi) * (z - zi) / (zj - zi) + xi:
+        vi = poly_verts[poly, i]
+        vj = poly_verts[poly, j]
+        xi = verts[vi, 0]
+        zi = verts[vi, 2]
+        zj = verts[vj, 2]
+        if (zi > z) != (zj > z) and x < (verts[vj, 0] - xi) * (z - zi) / (zj - zi) + xi:
             inside = not inside
         j = i
     return inside
@@ -110,27 +113,27 @@ def height_in_triangle(corner: Floats, x: np.float32, z: np.float32) -> tuple[bo
 
 @compiled
 def clamp_to_polygon(
-    mesh: QueryMesh, poly: int, x: np.float32, y: np.float32, z: np.float32
+    verts: Floats, poly_verts: Indices, poly_size: Indices, poly: int, x: np.float32, y: np.float32, z: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Return the point itself if it is above or below the polygon, else the nearest point on the polygon's edges."""
-    if inside_polygon(mesh, poly, x, z):
-        return x, y, z
-    size = mesh.poly_size[poly]
-    nearest = GREATEST
-    along = ZERO
-    edge = 0
-    for i in range(size):
-        a = mesh.poly_verts[poly, i]
-        b = mesh.poly_verts[poly, i + 1 if i + 1 < size else 0]
-        d, t = point_to_segment(x, z, mesh.verts[a, 0], mesh.verts[a, 2], mesh.verts[b, 0], mesh.verts[b, 2])
-        if d < nearest:
-            nearest = d
-            along = t
-            edge = i
-    a = mesh.poly_verts[poly, edge]
-    b = mesh.poly_verts[poly, edge + 1 if edge + 1 < size else 0]
-    return (
-        mesh.verts[a, 0] + (mesh.verts[b, 0] - mesh.verts[a, 0]) * along,
-        mesh.verts[a, 1] + (mesh.verts[b, 1] - mesh.verts[a, 1]) * along,
-        mesh.verts[a, 2] + (mesh.verts[b, 2] - mesh.verts[a, 2]) * along,
-    )
+    """Return the point itself if it is above or below the polygon, else the nearest point on the polygon's edges. The
+    arrays are those of the ``QueryMesh``.
+    """
+    if not inside_polygon(verts, poly_verts, poly_size, poly, x, z):
+        size = poly_size[poly]
+        nearest = GREATEST
+        along = ZERO
+        edge = 0
+        for i in range(size):
+            a = poly_verts[poly, i]
+            b = poly_verts[poly, i + 1 if i + 1 < size else 0]
+            d, t = point_to_segment(x, z, verts[a, 0], verts[a, 2], verts[b, 0], verts[b, 2])
+            if d < nearest:
+                nearest = d
+                along = t
+                edge = i
+        a = poly_verts[poly, edge]
+        b = poly_verts[poly, edge + 1 if edge + 1 < size else 0]
+        x = verts[a, 0] + (verts[b, 0] - verts[a, 0]) * along
+        y = verts[a, 1] + (verts[b, 1] - verts[a, 1]) * along
+        z = verts[a, 2] + (verts[b, 2] - verts[a, 2]) * along
+    return x, y, z

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, keep, uncounted
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import (
     CLOSED,
     OPEN,
@@ -27,6 +27,7 @@ from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, dista
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, height_on_polygon, nearest_polygon
 from condvln.navigation.tile import Floats, Indices
+from condvln.uncounted import keep, uncounted
 
 MAX_VISITED = 64  # size of Detour's small node pool
 MAX_QUEUE = 48  # size of its queue
@@ -133,7 +134,7 @@ def move_along_surface(mesh: QueryMesh, start_poly: int, start: Floats, reached:
         node = queue[head]
         head += 1
         poly = polys[node]
-        if inside_polygon(mesh, poly, end[0], end[2]):
+        if inside_polygon(mesh.verts, mesh.poly_verts, mesh.poly_size, poly, end[0], end[2]):
             best_node = node
             for axis in range(3):
                 reached[axis] = end[axis]
@@ -228,7 +229,10 @@ def step(mesh: QueryMesh, start: Place, sliding: bool, memory: StepMemory, reach
             if not sliding:
                 _stop_at_wall(mesh, start.at, end, memory.visited, count, reached.asked)
             last = memory.visited[count - 1]
-            over, height = height_on_polygon(mesh, last, reached.asked[0], reached.asked[2])
+            over, height = height_on_polygon(
+                mesh.verts, mesh.poly_verts, mesh.poly_size, mesh.tri_start, mesh.tri_points, mesh.tri_edges,
+                last, reached.asked[0], reached.asked[2],
+            )  # fmt: skip
             if over:
                 reached.asked[1] = height
             put(mesh, reached.asked, reached)
@@ -240,23 +244,27 @@ def step(mesh: QueryMesh, start: Place, sliding: bool, memory: StepMemory, reach
 @inlined
 def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
     """Move a point on the edge between two islands by 0.1 mm towards the middle of its own polygon."""
-    towards = np.zeros(3, np.float32)
+    x = y = z = ZERO
     size = mesh.poly_size[poly]
     for i in range(size):
-        for axis in range(3):
-            towards[axis] += mesh.verts[mesh.poly_verts[poly, i], axis]
-    for axis in range(3):
-        towards[axis] = towards[axis] / np.float32(size) - point[axis]
-    length = np.sqrt(towards[0] * towards[0] + towards[1] * towards[1] + towards[2] * towards[2])
-    for axis in range(3):
-        point[axis] = point[axis] + NUDGE * (towards[axis] / length)
+        corner = mesh.poly_verts[poly, i]
+        x += mesh.verts[corner, 0]
+        y += mesh.verts[corner, 1]
+        z += mesh.verts[corner, 2]
+    x = x / np.float32(size) - point[0]
+    y = y / np.float32(size) - point[1]
+    z = z / np.float32(size) - point[2]
+    length = np.sqrt(x * x + y * y + z * z)
+    point[0] = point[0] + NUDGE * (x / length)
+    point[1] = point[1] + NUDGE * (y / length)
+    point[2] = point[2] + NUDGE * (z / length)
 
 
 @compiled
 def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
     """Return the end points (n, 3) of n moves from ``starts`` towards ``ends``, each as :func:`step` gives it."""
     reached = np.empty((starts.shape[0], 3), np.float32)
-    mesh, held = uncounted(mesh), (new_step_memory(), new_place(), new_place())
+    mesh, starts, held = uncounted(mesh), uncounted(starts), (new_step_memory(), new_place(), new_place())
     memory, begin, place = uncounted(held)
     for i in range(starts.shape[0]):
         put(mesh, starts[i], begin)
@@ -294,10 +302,10 @@ def nearest_wall(
     search.parent[start] = -1
     search.total[start] = ZERO
     search.state[start] = OPEN
-    push(search, start)
+    push(search.heap, search.total, search.counters, start)
     radius_squared = max_radius * max_radius
     while search.counters[1] > 0:
-        poly = pop(search)
+        poly = pop(search.heap, search.total, search.counters)
         search.state[poly] = CLOSED
         size = mesh.poly_size[poly]
         edge = size - 1
@@ -323,7 +331,8 @@ def nearest_wall(
             if search.round[other] != this_round:
                 search.round[other] = this_round
                 search.state[other] = 0
-                place_at_edge(mesh, search, poly, edge_to(mesh, poly, other), other)
+                first = edge_to(mesh.neighbours, mesh.poly_size, poly, other)
+                place_at_edge(mesh.verts, mesh.poly_verts, mesh.poly_size, search.position, poly, first, other)
             elif search.state[other] == CLOSED:
                 continue
             p, q = search.position[poly], search.position[other]
@@ -333,10 +342,10 @@ def nearest_wall(
             search.parent[other] = poly
             search.total[other] = total
             if search.state[other] == OPEN:
-                moved_up(search, other)
+                moved_up(search.heap, search.total, search.counters, other)
             else:
                 search.state[other] = OPEN
-                push(search, other)
+                push(search.heap, search.total, search.counters, other)
     for axis in range(3):
         normal[axis] = centre[axis] - hit[axis]
     scale = ONE / np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, constant, inlined, uncounted
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.kernels.geometry import (
     GREATEST,
     ONE,
@@ -31,6 +31,7 @@ from condvln.navigation.kernels.mesh import (
     QueryMesh,
 )
 from condvln.navigation.tile import Floats, Indices
+from condvln.uncounted import uncounted
 
 # Half extents in metres of the box in which habitat-sim searches for a polygon.
 REACH_GROUND = np.float32(2.0)
@@ -49,36 +50,59 @@ OVER_ONLY, AROUND = constant(True), constant(False)
 
 
 @compiled
-def height_on_polygon(mesh: QueryMesh, poly: int, x: np.float32, z: np.float32) -> tuple[bool, np.float32]:
-    """Return whether the polygon covers (x, z), and the height of its detail mesh there."""
-    if not inside_polygon(mesh, poly, x, z):
-        return False, ZERO
-    for tri in range(mesh.tri_start[poly], mesh.tri_start[poly + 1]):
-        found, height = height_in_triangle(mesh.tri_points[tri], x, z)
-        if found:
-            return True, height
-    # There are only degenerate triangles here: the point is on an edge.
-    _, y, _ = nearest_on_detail_edges(mesh, poly, x, z, ALL_EDGES)
-    return True, y
+def height_on_polygon(
+    verts: Floats,
+    poly_verts: Indices,
+    poly_size: Indices,
+    tri_start: Indices,
+    tri_points: Floats,
+    tri_edges: npt.NDArray[np.uint8],
+    poly: int,
+    x: np.float32,
+    z: np.float32,
+) -> tuple[bool, np.float32]:
+    """Return whether the polygon covers (x, z), and the height of its detail mesh there. The arrays are those of the
+    ``QueryMesh``.
+    """
+    covered = inside_polygon(verts, poly_verts, poly_size, poly, x, z)
+    height = ZERO
+    if covered:
+        found = False
+        for tri in range(tri_start[poly], tri_start[poly + 1]):
+            found, height = height_in_triangle(tri_points[tri], x, z)
+            if found:
+                break
+        if not found:
+            # There are only degenerate triangles here: the point is on an edge.
+            _, height, _ = nearest_on_detail_edges(tri_start, tri_points, tri_edges, poly, x, z, ALL_EDGES)
+    return covered, height
 
 
 @compiled
 def nearest_on_detail_edges(
-    mesh: QueryMesh, poly: int, x: np.float32, z: np.float32, boundary_only: bool
+    tri_start: Indices,
+    tri_points: Floats,
+    tri_edges: npt.NDArray[np.uint8],
+    poly: int,
+    x: np.float32,
+    z: np.float32,
+    boundary_only: bool,
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Return the horizontally nearest point on the edges of the detail mesh."""
+    """Return the horizontally nearest point on the edges of the detail mesh. The arrays are those of the
+    ``QueryMesh``.
+    """
     best = GREATEST
     along = ZERO
-    best_tri = mesh.tri_start[poly]
+    best_tri = tri_start[poly]
     best_from = 0
-    for tri in range(mesh.tri_start[poly], mesh.tri_start[poly + 1]):
+    for tri in range(tri_start[poly], tri_start[poly + 1]):
         j = 2
         for k in range(3):
-            bits = mesh.tri_edges[tri, j]
+            bits = tri_edges[tri, j]
             skipped = (bits & 1) == 0 and (boundary_only or (bits & 2) != 0)
             if not skipped:
-                a = mesh.tri_points[tri, j]
-                b = mesh.tri_points[tri, k]
+                a = tri_points[tri, j]
+                b = tri_points[tri, k]
                 d, t = point_to_segment(x, z, a[0], a[2], b[0], b[2])
                 if d < best:
                     best = d
@@ -86,8 +110,8 @@ def nearest_on_detail_edges(
                     best_tri = tri
                     best_from = j
             j = k
-    a = mesh.tri_points[best_tri, best_from]
-    b = mesh.tri_points[best_tri, best_from + 1 if best_from < 2 else 0]
+    a = tri_points[best_tri, best_from]
+    b = tri_points[best_tri, best_from + 1 if best_from < 2 else 0]
     return a[0] + (b[0] - a[0]) * along, a[1] + (b[1] - a[1]) * along, a[2] + (b[2] - a[2]) * along
 
 
@@ -116,24 +140,23 @@ def nearest_polygon(
     search, since later ones would have to be strictly nearer.
     """
     grid = mesh.grid
-    nothing = (NO_POLYGON, NAN, NAN, NAN)
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        return nothing
+    found = (NO_POLYGON, NAN, NAN, NAN)
     low_x, low_z = x - REACH_GROUND, z - REACH_GROUND
     high_x, high_z = x + REACH_GROUND, z + REACH_GROUND
-    if math.floor((low_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) > ZERO:
-        return nothing
-    if math.floor((high_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) < ZERO:
-        return nothing
-    if math.floor((low_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) > ZERO:
-        return nothing
-    if math.floor((high_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) < ZERO:
-        return nothing
-    # Most points are above a polygon, whose box is one of few tree boxes that contain the point.
-    below = _nearest_within(mesh, x, y, z, island, REACH_BELOW, OVER_ONLY)
-    if below[0] != NO_POLYGON:
-        return below
-    return _nearest_within(mesh, x, y, z, island, REACH_GROUND, AROUND)
+    if (
+        math.isfinite(x)
+        and math.isfinite(y)
+        and math.isfinite(z)
+        and not math.floor((low_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) > ZERO
+        and not math.floor((high_x - grid[ORIGIN_X]) / grid[TILE_WIDTH]) < ZERO
+        and not math.floor((low_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) > ZERO
+        and not math.floor((high_z - grid[ORIGIN_Z]) / grid[TILE_HEIGHT]) < ZERO
+    ):
+        # Most points are above a polygon, whose box is one of few tree boxes that contain the point.
+        found = _nearest_within(mesh, x, y, z, island, REACH_BELOW, OVER_ONLY)
+        if found[0] == NO_POLYGON:
+            found = _nearest_within(mesh, x, y, z, island, REACH_GROUND, AROUND)
+    return found
 
 
 @compiled
@@ -178,7 +201,17 @@ def _nearest_within(
             and (island == ANY_ISLAND or mesh.island[index] == island)
             and not _too_far(mesh, index, x, z, ZERO if over_only else best)
         ):
-            over, height = height_on_polygon(mesh, index, x, z)
+            over, height = height_on_polygon(
+                mesh.verts,
+                mesh.poly_verts,
+                mesh.poly_size,
+                mesh.tri_start,
+                mesh.tri_points,
+                mesh.tri_edges,
+                index,
+                x,
+                z,
+            )
             if over:
                 cx, cy, cz = x, height, z
                 d = abs(y - height) - grid[CLIMB]
@@ -187,7 +220,9 @@ def _nearest_within(
                 node += 1
                 continue
             else:
-                cx, cy, cz = nearest_on_detail_edges(mesh, index, x, z, BOUNDARY_ONLY)
+                cx, cy, cz = nearest_on_detail_edges(
+                    mesh.tri_start, mesh.tri_points, mesh.tri_edges, index, x, z, BOUNDARY_ONLY
+                )
                 dx, dy, dz = x - cx, y - cy, z - cz
                 d = dx * dx + dy * dy + dz * dz
             if d < best and (d <= ZERO or not over_only):

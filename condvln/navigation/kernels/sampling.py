@@ -9,6 +9,7 @@ from condvln.navigation.kernels.geometry import ONE, ZERO, triangle_area
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NAN, height_on_polygon
 from condvln.navigation.tile import Floats, Indices
+from condvln.uncounted import uncounted
 
 
 @compiled
@@ -16,6 +17,7 @@ def ground_areas(mesh: QueryMesh) -> Floats:
     """Return twice the area (p,) of each walkable polygon in the ground plane, 0 for others: Detour's sampling
     weights.
     """
+    mesh = uncounted(mesh)
     weights = np.zeros(mesh.poly_size.shape[0], np.float32)
     for poly in range(mesh.poly_size.shape[0]):
         if mesh.walkable[poly]:
@@ -39,6 +41,7 @@ def points_on_polygons(mesh: QueryMesh, polys: Indices, picks: Floats, spreads: 
     ``picks`` chooses the triangle of the polygon's fan and the position along its far edge, ``spreads`` the distance
     from the first corner; if both are uniform in [0, 1), the points are uniform on the polygon.
     """
+    mesh = uncounted(mesh)
     points = np.empty((polys.shape[0], 3), np.float32)
     for i in range(polys.shape[0]):
         poly = polys[i]
@@ -65,7 +68,9 @@ def points_on_polygons(mesh: QueryMesh, polys: Indices, picks: Floats, spreads: 
         c = mesh.verts[mesh.poly_verts[poly, chosen]]
         x = at_first * a[0] + at_before * b[0] + at_chosen * c[0]
         z = at_first * a[2] + at_before * b[2] + at_chosen * c[2]
-        over, y = height_on_polygon(mesh, poly, x, z)
+        over, y = height_on_polygon(
+            mesh.verts, mesh.poly_verts, mesh.poly_size, mesh.tri_start, mesh.tri_points, mesh.tri_edges, poly, x, z
+        )
         points[i, 0] = x if over else NAN
         points[i, 1] = y if over else NAN
         points[i, 2] = z if over else NAN

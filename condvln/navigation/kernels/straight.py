@@ -45,8 +45,11 @@ def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, en
 
     Returns the number of points, or 0 if they fill the buffer.
     """
-    first_x, first_y, first_z = clamp_to_polygon(mesh, corridor[0], start[0], start[1], start[2])
-    last_x, last_y, last_z = clamp_to_polygon(mesh, corridor[size - 1], end[0], end[1], end[2])
+    verts, poly_verts, poly_size, neighbours = mesh.verts, mesh.poly_verts, mesh.poly_size, mesh.neighbours
+    first_x, first_y, first_z = clamp_to_polygon(
+        verts, poly_verts, poly_size, corridor[0], start[0], start[1], start[2]
+    )
+    last_x, last_y, last_z = clamp_to_polygon(verts, poly_verts, poly_size, corridor[size - 1], end[0], end[1], end[2])
     points[0, 0], points[0, 1], points[0, 2] = first_x, first_y, first_z
     count = 1
     if size > 1:
@@ -59,11 +62,11 @@ def pull_string(mesh: QueryMesh, corridor: Indices, size: int, start: Floats, en
         while i < size:
             if i + 1 < size:
                 poly = corridor[i]
-                edge = edge_to(mesh, poly, corridor[i + 1])
-                a = mesh.poly_verts[poly, edge]
-                b = mesh.poly_verts[poly, edge + 1 if edge + 1 < mesh.poly_size[poly] else 0]
-                new_left_x, new_left_y, new_left_z = mesh.verts[a, 0], mesh.verts[a, 1], mesh.verts[a, 2]
-                new_right_x, new_right_y, new_right_z = mesh.verts[b, 0], mesh.verts[b, 1], mesh.verts[b, 2]
+                edge = edge_to(neighbours, poly_size, poly, corridor[i + 1])
+                a = poly_verts[poly, edge]
+                b = poly_verts[poly, edge + 1 if edge + 1 < poly_size[poly] else 0]
+                new_left_x, new_left_y, new_left_z = verts[a, 0], verts[a, 1], verts[a, 2]
+                new_right_x, new_right_y, new_right_z = verts[b, 0], verts[b, 1], verts[b, 2]
                 if i == 0:
                     d, _ = point_to_segment(apex_x, apex_z, new_left_x, new_left_z, new_right_x, new_right_z)
                     if d < AT_PORTAL:
