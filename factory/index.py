@@ -290,7 +290,8 @@ class Index:
         with file:
             if _hash_of(file) != hash_:
                 raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
-            parquet = pq.ParquetFile(file)
+            # A buffer would hold the file as a whole by its end.
+            parquet = pq.ParquetFile(file, pre_buffer=False)
             if not set(_UNIT_FIELDS) <= set(parquet.schema_arrow.names):
                 raise CorruptShardError("the unit index is of another version", where=path, remedy=_REBUILD)
             scratch = Scratch(parquet.schema_arrow)

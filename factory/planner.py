@@ -119,6 +119,7 @@ class Planner:
                     self.kept[row] = True
                 yield checked, fingerprint, row, fresh
         new = np.frombuffer(self._new, np.uint64)
+        self._new = array("Q")  # lasts as long as `new` does
         new.sort()
         if twice or (new[1:] == new[:-1]).any():
             raise UsageError("two units of this run have the same id", remedy="Ids must be unique over all sources.")

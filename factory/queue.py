@@ -37,6 +37,10 @@ class WorkSpool(Spool[Work]):
         self.seconds.append(item.seconds)
         return super().append(item)
 
+    def close(self) -> None:
+        self.seconds = array("d")
+        super().close()
+
 
 class Queue:
     """A queue of work units spooled to disk. Tasks are created from it on demand; only each unit's cost and its place
