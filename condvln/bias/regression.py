@@ -124,13 +124,15 @@ def fitted_scores(features: csr_matrix, gold: NDArray[np.int64], inside: Bools) 
     weights = np.zeros((fits.table.shape[1], *fits.absent.shape))
     scores, at = np.empty(fits.hot.shape), np.arange(inside.shape[1])
     for _ in range(NEWTON_STEPS):
-        found, gradient = fits.scores(weights), fits.gradient(weights)
+        found = fits.scores(weights)
+        shares = fits.shares(found)
+        gradient = fits.gradient(weights, shares)
         scores[:, :, at] = found
         running = _dot(gradient, gradient) > TOLERANCE**2
         if not running.any():
             break
         at, fits = at[running], fits.subset(running)
-        weights = fits.step(weights[:, :, running], gradient[:, :, running])
+        weights = fits.step(*(part[:, :, running] for part in (weights, gradient, found, shares)))
     return scores
 
 
@@ -181,47 +183,44 @@ class _Fits:
         """Return the score of each class for each text, (texts, classes, fits)."""
         return _times(self.table, weights) + self.absent
 
-    def loss(self, weights: F64) -> F64:
-        """Return the loss of each fit, (fits,)."""
-        scores = self.scores(weights)
+    def loss(self, weights: F64, scores: F64) -> F64:
+        """Return the loss of each fit, (fits,); `scores` are those of the weights."""
         top = scores.max(axis=1, keepdims=True)
         logs = (np.log(np.exp(scores - top).sum(axis=1, keepdims=True)) + top) * self.inside
         right = np.where(self.hot > 0.0, scores, 0.0).sum(axis=1, keepdims=True)
         found: F64 = (logs - right).sum(axis=(0, 1)) + _dot(self.penalty * weights, weights) / 2
         return found
 
-    def gradient(self, weights: F64) -> F64:
-        """Return the gradient of the loss."""
-        return _times(self.transposed, self._shares(weights) - self.hot) + self.penalty * weights
+    def gradient(self, weights: F64, shares: F64) -> F64:
+        """Return the gradient of the loss; `shares` are those of the weights."""
+        return _times(self.transposed, shares - self.hot) + self.penalty * weights
 
-    def step(self, weights: F64, gradient: F64) -> F64:
-        """Return the weights after one step of Newton's method. In each fit, the step is halved until it lowers the
-        loss enough.
+    def step(self, weights: F64, gradient: F64, scores: F64, shares: F64) -> F64:
+        """Return the weights after one step of Newton's method, from the weights with this gradient, these scores and
+        shares. In each fit, the step is halved until it lowers the loss enough.
         """
-        ahead = self._direction(weights, gradient)
-        slope, loss = _dot(gradient, ahead), self.loss(weights)
+        ahead = self._direction(gradient, shares)
+        slope, loss = _dot(gradient, ahead), self.loss(weights, scores)
         length = np.ones(len(slope))
         for _ in range(HALVINGS):
             new = weights + length * ahead
             # Near the minimum the loss changes by less than its rounding.
-            high = self.loss(new) > loss + LEAST_DESCENT * length * slope + ROUNDING * loss
+            high = self.loss(new, self.scores(new)) > loss + LEAST_DESCENT * length * slope + ROUNDING * loss
             if not high.any():
                 break
             length[high] /= 2
         return new
 
-    def _shares(self, weights: F64) -> F64:
-        """Return, for each fit, the probability of each class for each text; 0 for texts that the fit does not learn
-        from.
+    def shares(self, scores: F64) -> F64:
+        """Return, for each fit, the probability of each class for each text by these scores; 0 for texts that the fit
+        does not learn from.
         """
-        scores = self.scores(weights)
         odds = np.exp(scores - scores.max(axis=1, keepdims=True))
         found: F64 = odds * (self.inside / odds.sum(axis=1, keepdims=True))
         return found
 
-    def _direction(self, weights: F64, gradient: F64) -> F64:
+    def _direction(self, gradient: F64, shares: F64) -> F64:
         """Return the direction of Newton's step, found by conjugate gradients (Nocedal and Wright, algorithm 5.2)."""
-        shares = self._shares(weights)
         left, found = gradient.copy(), np.zeros_like(gradient)
         ahead = -left
         square = _dot(left, left)
