@@ -7,7 +7,6 @@ can be seen at all, and the anchor. Only conditions on the gold path count, sinc
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
+from condvln.episodes.kernels.prefix import shared_beginning, spaced_points
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
 from condvln.instructions.referents import things_meant
@@ -151,7 +151,7 @@ class Observer:
 
     def _eyes_on_the_way(self, outlook: Outlook) -> F64:
         prefix = common_prefix(outlook.paths)
-        return eyes_at(_spaced(prefix, EYE_SPACING)[1:], self._places.eye_height)
+        return eyes_at(spaced_points(prefix, EYE_SPACING)[1:], self._places.eye_height)
 
     def needs(self, condition: Condition) -> _Needs:
         """Return alternative sets of sight targets. To know a condition's truth, an agent must see all targets of at
@@ -234,27 +234,5 @@ def common_prefix(paths: Sequence[F64]) -> F64:
 
     It ends where two paths are farther than PREFIX_STRAY apart at equal walked length.
     """
-    lengths = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]) for path in paths]
-    shortest = min(float(length[-1]) for length in lengths)
-    at = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
-    walked = np.array(
-        [
-            np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)])
-            for path, length in zip(paths, lengths, strict=True)
-        ]
-    )
-    apart = np.linalg.norm(walked[:, None] - walked[None], axis=-1).max(axis=(0, 1)) > PREFIX_STRAY
-    shared = int(np.argmax(apart)) if apart.any() else len(at)
-    end = at[max(shared - 1, 0)]
-    inner = (lengths[0] > 0.0) & (lengths[0] < end)
-    return np.asarray(
-        np.concatenate([paths[0][:1], paths[0][inner], walked[0][[max(shared - 1, 0)]]]), dtype=np.float64
-    )
-
-
-def _spaced(path: F64, spacing: float) -> F64:
-    """Return points along a polyline, both ends included, at most `spacing` metres apart."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    count = max(1, math.ceil(length[-1] / spacing))
-    at = np.linspace(0.0, length[-1], count + 1)
-    return np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)])
+    first = np.cumsum([0, *map(len, paths)], dtype=np.int64)
+    return shared_beginning(np.concatenate(paths, dtype=np.float64), first, PREFIX_SAMPLES, PREFIX_STRAY)

@@ -11,9 +11,11 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
+from condvln.episodes.kernels.prefix import spaced_points
 from condvln.episodes.observability import Observation, Observer, common_prefix
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
@@ -25,10 +27,11 @@ from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.config import EpisodeConfig, PlacesConfig
-from schemas.config.constants import FLOOR_LIFT, FLOOR_POINTS, PREFIX_STRAY
+from schemas.config.constants import EYE_SPACING, FLOOR_LIFT, FLOOR_POINTS, PREFIX_SAMPLES, PREFIX_STRAY
 from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
+F64 = NDArray[np.float64]
 PLACES, RULES = PlacesConfig(), EpisodeConfig()
 WEST, EAST = RoomRef(room_id="west", label="kitchen"), RoomRef(room_id="east", label="bedroom")
 # The wall stands at x = 4 and leaves a doorway from z = 3 to z = 4.
@@ -336,3 +339,35 @@ def test_walls_of_real_houses_hide_their_other_rooms(real_data: Path) -> None:
     source = open_source("procthor", real_data / "procthor")
     for handle in source.handles()[:6:3]:
         walls_hide(source, handle.scene_id)
+
+
+def walked(path: F64) -> F64:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+
+
+def points_at(path: F64, at: F64) -> F64:
+    return np.column_stack([np.interp(at, walked(path), path[:, axis]) for axis in range(3)])
+
+
+@given(st.integers(1, 4), st.integers(1, 7), st.integers(0, 2**32))
+def test_shared_beginnings_and_eyes_on_them_equal_those_of_numpy_bit_for_bit(p: int, most: int, seed: int) -> None:
+    """Paths share some corners; some corners are repeated, and distances of samples fall on corners."""
+    rng = np.random.default_rng(seed)
+    trunk = np.round(rng.uniform(-3, 3, (most, 3)) * np.array([1.0, 0.1, 1.0]), 3)
+    paths = [
+        np.concatenate([trunk[: rng.integers(1, most + 1)], np.round(rng.uniform(-4, 4, (rng.integers(0, 4), 3)), 1)])
+        for _ in range(p)
+    ]
+    paths = [path[np.sort(rng.integers(0, len(path), len(path) + 1))] if rng.random() < 0.3 else path for path in paths]
+    paths = [np.concatenate([trunk[:1], path]) for path in paths]
+    shortest = min(walked(path)[-1] for path in paths)
+    at = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
+    places = np.array([points_at(path, at) for path in paths])
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1).max(axis=(0, 1)) > PREFIX_STRAY
+    last = max(int(np.argmax(apart)) if apart.any() else len(at), 1) - 1
+    inner = (walked(paths[0]) > 0.0) & (walked(paths[0]) < at[last])
+    prefix = common_prefix(paths)
+    np.testing.assert_array_equal(prefix, np.concatenate([trunk[:1], paths[0][inner], places[0][[last]]]))
+    count = max(1, math.ceil(walked(prefix)[-1] / EYE_SPACING))
+    spaced = points_at(prefix, np.linspace(0.0, walked(prefix)[-1], count + 1))
+    np.testing.assert_array_equal(spaced_points(prefix, EYE_SPACING), spaced)
