@@ -27,7 +27,6 @@ from numba.core import event as numba_event
 
 from condvln.collector import no_collection
 from condvln.kernel_cache import KernelCache
-from condvln.uncounted import keep, uncounted
 
 __all__ = [
     "compilation_reported_to",
@@ -35,9 +34,7 @@ __all__ = [
     "compiled_apart",
     "constant",
     "inlined",
-    "keep",
     "register_warm_up",
-    "uncounted",
     "warm_up",
 ]
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.kernels.stops import ByLabel, Questions, TargetTables, WantedStops, fits
+from condvln.instructions.kernels.stops import ByLabel, Questions, TargetTables, WantedStops, targets_fit
 from condvln.instructions.stops import Targets
 from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
@@ -110,7 +110,7 @@ class StopSampler:
     def fits(self, leaves: int) -> bool:
         """Return whether the scene has targets for so many leaves."""
         everything = np.ones(len(self.targets), bool)
-        return fits(everything, everything, leaves, 0, self.tables.questions)
+        return targets_fit(everything, everything, leaves, 0, self.tables.questions)
 
     def roomy(self, leaves: int) -> bool:
         """Return whether a room about which conditions can be asked has targets for so many leaves."""
@@ -147,7 +147,8 @@ class StopSampler:
             chosen = [
                 room
                 for room, held in ((room, tables.held[room]) for room in tables.asked.tolist())
-                if fits(held, held, leaves, 0, questions) and fits(held, held, leaves, waypoints, questions)
+                if targets_fit(held, held, leaves, 0, questions)
+                and targets_fit(held, held, leaves, waypoints, questions)
             ]
             rooms = np.array(chosen, np.int64)
             self._known_roomy[key] = rooms, self._preferences(rooms)

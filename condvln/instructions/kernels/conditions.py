@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, uniform
+from condvln.uncounted import uncounted
 
 __all__ = ["NOTHING", "RULES", "Given", "StatementTables", "draw_conditions", "leave_a_question", "rules_of_places"]
 
@@ -281,7 +282,7 @@ def rules_of_places(
     """Return for each statement of a pool with the given `truth` the rule that it violates together with `claims` and
     the stops' phrases, or NOTHING.
     """
-    all_claims = np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
+    tables, all_claims = uncounted(tables), np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
     all_claims[: len(claims)] = claims
     begin, end = tables.spans[pool, truth, 0], tables.spans[pool, truth, 1]
     rules = np.empty(end - begin, np.int64)
@@ -298,7 +299,7 @@ def leave_a_question(
     """Return whether some pool from `first` to `end` - 1 has a statement of either truth that violates no rule together
     with `claims` and the stops' phrases.
     """
-    all_claims = np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
+    tables, all_claims = uncounted(tables), np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
     all_claims[: len(claims)] = claims
     for pool in range(first, end):
         sound = 0

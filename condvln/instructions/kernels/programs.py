@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, register_warm_up, uncounted
+from condvln.compiled import compiled, inlined, register_warm_up
 from condvln.instructions.kernels.conditions import NOTHING, RULES, Given, StatementTables, draw_conditions
 from condvln.instructions.kernels.stops import (
     FAILURES,
@@ -17,10 +17,11 @@ from condvln.instructions.kernels.stops import (
     TargetTables,
     WantedStops,
     draw_stops,
-    fits,
+    targets_fit,
 )
 from condvln.instructions.kernels.stream import cumulative, index
 from condvln.instructions.referents import ALTERNATIVES
+from condvln.uncounted import uncounted
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
 
 __all__ = ["REASONS", "DrawnProgram", "NameTables", "WantedProgram", "draw_program", "drawn_program"]
@@ -380,7 +381,7 @@ def _warm_up() -> None:
     places = (numbers, one, numbers, numbers, mask[0])
     questions, by_label = Questions(mask, numbers, *digests), ByLabel(mask[0], numbers, span)
     targets = TargetTables(questions, by_label, mask, numbers, one, mask, mask, *places)
-    fits(mask[0], mask[0], 1, 0, questions)
+    targets_fit(mask[0], mask[0], 1, 0, questions)
     statements = StatementTables(
         overlap=np.zeros((1, 1), bool),
         sums=one,

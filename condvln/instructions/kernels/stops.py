@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled, constant, inlined
 from condvln.instructions.kernels.stream import cumulative, index
+from condvln.uncounted import uncounted
 
-__all__ = ["FAILURES", "MOST_MOVES", "ByLabel", "Questions", "TargetTables", "WantedStops", "draw_stops", "fits"]
+__all__ = ["FAILURES", "MOST_MOVES", "ByLabel", "Questions", "TargetTables", "WantedStops", "draw_stops", "targets_fit"]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
@@ -212,6 +213,12 @@ def fits(allowed: Bools, free: Bools, n: int, waypoints: int, questions: Questio
             digests[place, 0], digests[place, 1] = one, other
         answer = answers[place]
     return answer
+
+
+@compiled
+def targets_fit(allowed: Bools, free: Bools, n: int, waypoints: int, questions: Questions) -> bool:
+    """Return `fits`, for callers in Python."""
+    return fits(allowed, free, n, waypoints, uncounted(questions))
 
 
 @compiled
@@ -440,6 +447,7 @@ def _draw_leaves(
     goals: Longs,
     room_of: Longs,
     sums: Doubles,
+    order: Longs,
     tables: TargetTables,
     stream: Doubles,
     left: Longs,
@@ -448,7 +456,7 @@ def _draw_leaves(
     """Write the stops of all leaves to `stops`. Some leaves may begin with the same stop if no other stop is left, but
     never all leaves. Return the number of a failure, or NONE.
     """
-    n, order, apart, label = len(counts), tables.order, tables.questions.apart, tables.questions.label
+    n, apart, label = len(counts), tables.questions.apart, tables.questions.label
     by_label, alike_to = tables.by_label, tables.alike
     allowed, used = held.copy(), np.zeros(len(held), np.bool_)
     for leaf in range(n):
@@ -526,7 +534,9 @@ def draw_stops(
             labels[kept] = order[k]
             weights[kept] = preferred[k] / (1 + used[order[k]])
             kept += 1
-    labels, sums, waypoint_sums = labels[:kept], _running(weights[:kept]), _running(preferred)
+    labels, sums = labels[:kept], _running(weights[:kept])
+    # Copies, since a kernel would be compiled once more for arrays whose references are not counted.
+    order, waypoint_sums = order.copy(), _running(preferred.copy())
     drawable, held = np.zeros(len(members), np.bool_), np.zeros(len(members), np.bool_)
     for label in labels:
         for k in range(spans[label, 0], spans[label, 1]):
@@ -546,7 +556,7 @@ def draw_stops(
         _leave_to_ask(rooms[1 : 1 + rooms[0]], spoiling, held)
         failed = _draw_goals(n, waypoints, held, sums, labels, drawable, questions, by_label, stream, left, goals)
         if failed == NONE:
-            failed = _draw_leaves(counts, held, goals, room_of, waypoint_sums, tables, stream, left, stops)
+            failed = _draw_leaves(counts, held, goals, room_of, waypoint_sums, order, tables, stream, left, stops)
         if failed == NONE:
             return attempt
         failures[failed] += 1

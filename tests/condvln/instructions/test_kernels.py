@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from condvln.instructions.degeneracy import Claim, Presupposed
 from condvln.instructions.degeneracy import clash as clash_of_claims
 from condvln.instructions.kernels.conditions import RULES, Given, clash
-from condvln.instructions.kernels.stops import fits
+from condvln.instructions.kernels.stops import targets_fit
 from condvln.instructions.kernels.stream import cumulative, index, uniform
 from condvln.instructions.statement_tables import NumberedStatements
 from condvln.instructions.stop_sampler import StopSampler
@@ -93,7 +93,7 @@ def test_targets_fit_if_some_choice_of_them_does(t: int, n: int, waypoints: int,
         for goals in chosen(n, np.flatnonzero(allowed).tolist())
     )
     for _ in range(2):  # the second answer was kept
-        assert fits(allowed, free, n, waypoints, sampler.tables.questions) == expected
+        assert targets_fit(allowed, free, n, waypoints, sampler.tables.questions) == expected
 
 
 @pytest.mark.parametrize("read", [0, 5, BLOCK])
