@@ -15,6 +15,7 @@ __all__ = ["KERNEL_MODULES", "compile_kernels"]
 
 KERNEL_MODULES: Final = {
     "navmesh builder": "condvln.navigation.recast.builder",
+    "programs": "condvln.instructions.kernels.programs",
     "follower": "condvln.navigation.follower",
     "paths": "condvln.navigation.pathfinder",
     "cameras": "condvln.sensors.renderer",
@@ -23,11 +24,11 @@ KERNEL_MODULES: Final = {
     "alignment": "condvln.evaluation.kernels.alignment",
     "an agent's map": "condvln.evaluation.kernels.floor_grid",
     "line of sight among boxes": "condvln.navigation.occluders",
-    "stops of programs": "condvln.instructions.kernels.stops",
     "conditions of programs": "condvln.instructions.kernels.conditions",
     "goal points of objects": "condvln.episodes.kernels.spread",
     "ways of episodes": "condvln.episodes.routes",
     "starts of episodes": "condvln.episodes.starts",
+    "beginnings of paths": "condvln.episodes.kernels.prefix",
     "json scan": "condvln.formats.json_scan",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""
