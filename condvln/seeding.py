@@ -21,6 +21,9 @@ BLOCK: Final = 4096
 FEW: Final = 32
 """Number of uniforms taken from a stream at a time, and drawn at first where few are needed, as for one text."""
 
+MOST_AHEAD: Final = 16 * BLOCK
+"""Most uniforms drawn at once, unless one kernel call needs more."""
+
 T = TypeVar("T")
 
 
@@ -72,6 +75,7 @@ class Draws:
             found = kernel(self._stream, left)
             if not left[1]:
                 self._unread = int(left[0])
+                self._next = min(self._next, MOST_AHEAD)
                 return found
             self._longer()
 

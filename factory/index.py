@@ -31,7 +31,10 @@ from factory.scratch import BATCH_ROWS, Scratch, batches, let_go
 from factory.store import Store
 from schemas.errors import CorruptShardError
 
-__all__ = ["Index", "IndexWriter", "failed_keys", "index_schema"]
+__all__ = ["STATUSES", "Index", "IndexWriter", "failed_keys", "index_schema"]
+
+STATUSES: Final = ("ok", "skipped", "quarantined")
+"""Statuses of published units."""
 
 _KEY = pa.binary(16)
 _UNIT_FIELDS: Final = {
@@ -257,6 +260,21 @@ def failed_keys(index: pa.Table) -> set[tuple[str, str]]:
     return found
 
 
+def _checked(batch: pa.RecordBatch, last: pa.Scalar | None, path: str) -> pa.Scalar | None:
+    """Return the last id of a batch. Raises ``CorruptShardError`` where merging would go wrong: ids that do not ascend
+    from `last` on, or an unknown status.
+    """
+    ids = batch.column("unit_id")
+    if not len(ids):
+        return last
+    ascend = last is None or pc.less(last, ids[0]).as_py()
+    if ids.null_count or not ascend or pc.any(pc.less_equal(ids.slice(1), ids.slice(0, len(ids) - 1))).as_py():
+        raise CorruptShardError("the ids of the unit index do not ascend", where=path, remedy=_REBUILD)
+    if not pc.all(pc.is_in(batch.column("status"), value_set=pa.array(STATUSES))).as_py():
+        raise CorruptShardError("the unit index has an unknown status", where=path, remedy=_REBUILD)
+    return ids[len(ids) - 1]
+
+
 class Index:
     """An index: its table, which stands in a temporary file where it is long, and single units by id.
 
@@ -294,9 +312,10 @@ class Index:
             parquet = pq.ParquetFile(file, pre_buffer=False)
             if not set(_UNIT_FIELDS) <= set(parquet.schema_arrow.names):
                 raise CorruptShardError("the unit index is of another version", where=path, remedy=_REBUILD)
-            scratch = Scratch(parquet.schema_arrow)
+            scratch, last = Scratch(parquet.schema_arrow), None
             # Without threads: those of Arrow may still end while the interpreter does, and abort the process then.
             for batch in parquet.iter_batches(BATCH_ROWS, use_threads=False):
+                last = _checked(batch, last, path)
                 scratch.write(batch)
         return cls(scratch.table())
 

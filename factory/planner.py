@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from factory.chain import Chain, SharedTables, receipt_of
 from factory.commits import Commits
 from factory.costs import CostModel
-from factory.index import Index, id_hashes
+from factory.index import STATUSES, Index, id_hashes
 from factory.inventory import Inventory
 from factory.key import Keyer, StageKey
 from factory.pipeline import Pipeline, plain_name
@@ -30,7 +30,6 @@ __all__ = ["Planner"]
 _BATCH: Final = 2048
 """Number of units that are compared at a time."""
 
-_STATUSES: Final = ("ok", "skipped", "quarantined")
 
 PROBES: Final = 100
 """Number of single requests to an object store after which all commits are listed instead, a thousand per request."""
@@ -72,7 +71,7 @@ class Planner:
         self._inventory = inventory
         self._statuses = np.zeros(len(index), dtype=np.int8)
         for start, batch in batches(index.table, ["status"]):
-            codes = pc.index_in(batch.column(0), value_set=pa.array(_STATUSES))
+            codes = pc.index_in(batch.column(0), value_set=pa.array(STATUSES))
             self._statuses[start : start + batch.num_rows] = codes.to_numpy()
         self._model = CostModel(index, pipeline)
         self._probes = 0
@@ -135,7 +134,7 @@ class Planner:
 
     def status(self, row: int) -> str:
         """Return the published status of the unit in ``row`` of the index."""
-        return _STATUSES[self._statuses[row]]
+        return STATUSES[self._statuses[row]]
 
     def kept_incomplete(self) -> list[int]:
         """Return the rows of the index that are kept and whose units are skipped or quarantined."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -38,6 +38,8 @@ __all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "
 
 F64 = NDArray[np.float64]
 
+TRIED_AT_ONCE: Final = 100_000
+"""Places on rings around objects that are tried together; each island is asked for each of them."""
 
 _WIDE: Final[WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[int, ...]]]] = WeakKeyDictionary()
 """Wide islands of each pathfinder in use, by the least radius."""
@@ -125,7 +127,8 @@ def scene_goals(
         room = scene.room_of.get(item.room_id)
         if room is not None and (named is None or object_id in named):
             around[object_id] = _Around.of(item, room)
-    found = _goal_points(list(around.values()), pathfinder, places, rules, obstacles, view)
+    batches = _batches(list(around.values()), rules)
+    found = [x for batch in batches for x in _goal_points(batch, pathfinder, places, rules, obstacles, view)]
     return {object_id: points for object_id, points in zip(around, found, strict=True) if len(points)}
 
 
@@ -171,6 +174,23 @@ class _Around:
         to the object's own bottom.
         """
         return self.bottom if self.room.annotation == "scene" else self.room.floor_y
+
+
+def _batches(around: Sequence[_Around], rules: GoalsConfig) -> Iterator[list[_Around]]:
+    """Yield the objects in batches of about `TRIED_AT_ONCE` places on rings, so that large objects with a long reach
+    do not fill the memory.
+    """
+    batch, tried = list[_Around](), 0.0
+    for one in around:
+        rings = max((near_rings(rules), far_rings(rules)), key=sum)
+        extent = sum(4.0 * float(box.half.sum()) for box in one.box.parts or (one.box,))
+        batch.append(one)
+        tried += sum(extent + 2 * math.pi * radius for radius in rings) / RING_SPACING
+        if tried > TRIED_AT_ONCE:
+            yield batch
+            batch, tried = [], 0.0
+    if batch:
+        yield batch
 
 
 def _goal_points(

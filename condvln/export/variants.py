@@ -81,10 +81,10 @@ ORACLE_COLUMNS: Final = (
 
 def kept_texts(texts: Callable[[Row, Row], str]) -> Callable[[Row, Row], str]:
     """Return a function that gives the same texts, and makes each of the first `TEXTS_KEPT` once for two calls."""
-    kept: dict[tuple[str, int], str] = {}
+    kept: dict[tuple[str, int, str], str] = {}
 
     def text(episode: Row, instruction: Row) -> str:
-        key = (episode["scene_id"], episode["episode_id"])
+        key = (episode["scene_id"], episode["episode_id"], instruction["instruction_id"])
         known = kept.pop(key, None)
         if known is None:
             known = texts(episode, instruction)

@@ -147,7 +147,13 @@ def _bytes(geometry: GlbGeometry) -> int:
     return geometry.vertices.nbytes + geometry.faces.nbytes
 
 
-@lru_cache(maxsize=4)
 def shared_library(root: Path) -> MeshLibrary:
-    """Return the library of a dataset's meshes, shared within this process so that each file is read once."""
+    """Return the library of a dataset's meshes, shared within this process so that each file is read once. A link that
+    leads elsewhere later is another dataset.
+    """
+    return _library(root, root.resolve())
+
+
+@lru_cache(maxsize=4)
+def _library(root: Path, resolved: Path) -> MeshLibrary:
     return MeshLibrary(root)

@@ -16,12 +16,13 @@ F64 = NDArray[np.float64]
 
 
 class Walks:
-    """Walks on one navmesh. Leaves of several episodes share walks, and the ground truth is mostly one of them."""
+    """Walks on one navmesh. Leaves of several episodes share walks. A ground truth is executed by itself, so that its
+    places are not those which planning it gave.
+    """
 
     def __init__(self, follower: Follower) -> None:
         self._follower = follower
         self._routes: dict[tuple[Point, float, tuple[Point, ...]], FollowedRoute] = {}
-        self._places: dict[tuple[Point, float, bytes], F64] = {}
 
     def to(self, start: Point, yaw: float, stops: Sequence[Point]) -> FollowedRoute:
         """Return the walk from ``start``, facing ``yaw`` in radians, to each of ``stops`` in turn."""
@@ -29,17 +30,12 @@ class Walks:
         route = self._routes.get(key)
         if route is None:
             route = self._routes[key] = self._follower.follow(start, yaw, stops)
-            self._places[start, yaw, route.actions.tobytes()] = route.locations.astype(np.float64)
         return route
 
     def along(self, start: Point, yaw: float, actions: NDArray[np.int8]) -> F64:
         """Return the positions (n, 3) of an agent that executes ``actions``: ``start``, then the position after each
-        forward step. The positions of a walk that was made by the same actions are these.
+        forward step.
         """
-        key = (start, yaw, actions.tobytes())
-        places = self._places.get(key)
-        if places is None:
-            walk = self._follower.walk(start, yaw, actions)
-            moved = np.concatenate([[0], np.flatnonzero(actions == FORWARD) + 1])
-            places = self._places[key] = walk.positions[moved].astype(np.float64)
-        return places
+        walk = self._follower.walk(start, yaw, actions)
+        moved = np.concatenate([[0], np.flatnonzero(actions == FORWARD) + 1])
+        return np.asarray(walk.positions[moved], dtype=np.float64)

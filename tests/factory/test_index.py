@@ -238,6 +238,30 @@ def test_memory_is_learned_from_what_was_published(store: LocalStore) -> None:
     assert new.memory == new.unit.memory
 
 
+@pytest.mark.parametrize(
+    ("units", "what"),
+    [
+        ([("b", "ok"), ("a", "ok")], "do not ascend"),
+        ([("a", "ok"), ("c", "ok"), ("b", "ok")], "do not ascend"),
+        ([("a", "ok"), ("a", "ok")], "do not ascend"),
+        ([("a", "ok"), ("b", "partial")], "unknown status"),
+    ],
+)
+@pytest.mark.parametrize("rows", [1, 2, 1000])
+def test_a_foreign_index_that_cannot_be_merged_is_refused(
+    store: LocalStore, monkeypatch: pytest.MonkeyPatch, units: list[tuple[str, str]], what: str, rows: int
+) -> None:
+    monkeypatch.setattr(index_module, "BATCH_ROWS", rows)
+    tables = []
+    for unit_id, status in units:
+        writer = IndexWriter(toys.pipeline())
+        writer.add(replace(receipt(unit_id, 1), status=status))  # type: ignore[arg-type]
+        tables.append(writer.finish(None))
+    name = Index.write(store, pa.concat_tables(tables))
+    with pytest.raises(CorruptShardError, match=what):
+        Index.read(store, name)
+
+
 def test_hashes_are_remembered_until_a_file_changes(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     path = tmp_path / "data" / "x.bin"

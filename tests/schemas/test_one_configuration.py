@@ -55,6 +55,7 @@ TECHNICAL = {
     "instructions/priors.py": {"LAYOUTS_KEPT", "MERGE_ROWS"},
     "instructions/stop_sampler.py": {"ANSWERS_KEPT"},
     "episodes/view.py": {"FIRST_LOOKS", "LOOK_TURNS", "LOOKS_AT_ONCE"},
+    "episodes/goals.py": {"TRIED_AT_ONCE"},
     "episodes/visibility.py": {"FIRST_PLACES", "CLOSE_SAMPLES"},
     # Formats of ids.
     "instructions/programs.py": {"ID_LENGTH"},

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import condvln.episodes.goals as goals_module
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import _distinct, _spread, goal_points, scene_goals
 from condvln.episodes.kernels.spread import farthest_points
@@ -71,7 +73,9 @@ def test_distinct_points_are_those_of_numpy() -> None:
     assert _distinct(owner[:0], points[:0])[1].shape == (0, 3)
 
 
-def test_goal_points_of_an_object_do_not_depend_on_the_others() -> None:
+@pytest.mark.parametrize("at_once", [1, 300, 100_000])
+def test_goal_points_of_an_object_do_not_depend_on_the_others(monkeypatch: pytest.MonkeyPatch, at_once: int) -> None:
+    monkeypatch.setattr(goals_module, "TRIED_AT_ONCE", at_once)
     floor = grid_floor(6, 6, lambda x, z: False)
     scene = apartment(box("a", 1, 1), box("b", 3, 3), box("c", 5, 2), box("d", 3.2, 3.9))
     together = scene_goals(scene, floor, PlacesConfig(), GoalsConfig())
