@@ -16,6 +16,7 @@ import hashlib
 import tempfile
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, BinaryIO, Final
 
@@ -29,7 +30,8 @@ from factory.pipeline import Pipeline
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
 from factory.scratch import BATCH_ROWS, Scratch, batches, let_go
 from factory.store import Store
-from schemas.errors import CorruptShardError
+from factory.temporary import temporary_space
+from schemas.errors import CorruptShardError, StoreError
 
 __all__ = ["STATUSES", "Index", "IndexWriter", "failed_keys", "index_schema"]
 
@@ -275,6 +277,15 @@ def _checked(batch: pa.RecordBatch, last: pa.Scalar | None, path: str) -> pa.Sca
     return ids[len(ids) - 1]
 
 
+@contextmanager
+def _readable(path: str) -> Iterator[None]:
+    """Context in which an index is read. Raises ``StoreError`` where its disk fails."""
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(f"the unit index can't be read: {error}", where=path, remedy="Check the disk.") from error
+
+
 class Index:
     """An index: its table, which stands in a temporary file where it is long, and single units by id.
 
@@ -305,7 +316,7 @@ class Index:
             file = store.open(cls.path(hash_))
         except FileNotFoundError as error:
             raise CorruptShardError("the unit index is missing", where=path, remedy=_REBUILD) from error
-        with file:
+        with file, _readable(path):
             if _hash_of(file) != hash_:
                 raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
             # A buffer would hold the file as a whole by its end.
@@ -323,12 +334,16 @@ class Index:
     def write(store: Store, table: pa.Table) -> str:
         """Write an index; return the hash that names it."""
         with tempfile.TemporaryFile() as file:
-            with pq.ParquetWriter(file, table.schema, compression="zstd", compression_level=1) as writer:
+            with (
+                temporary_space(),
+                pq.ParquetWriter(file, table.schema, compression="zstd", compression_level=1) as writer,
+            ):
                 for _, batch in batches(table):
                     writer.write_table(pa.Table.from_batches([batch]), row_group_size=BATCH_ROWS)
                 if not table.num_rows:
                     writer.write_table(table)
-            found = _hash_of(file)
+            with temporary_space():
+                found = _hash_of(file)
             # Not create(): one of this name that is damaged must not stay.
             store.write(Index.path(found), file)
         return found

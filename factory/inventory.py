@@ -22,6 +22,7 @@ from factory.index import Index
 from factory.scratch import batches
 from factory.snapshot import manifest_path, read_manifest, read_ref
 from factory.store import Store
+from factory.temporary import close_files, temporary_space
 
 __all__ = ["Inventory", "glance", "missing_parts"]
 
@@ -110,7 +111,7 @@ class _Shares:
         self._files: list[Any] = []
         for _ in range(SHARES):
             self._files.append(tempfile.SpooledTemporaryFile(max_size=1 << 17))  # noqa: SIM115 - closed with this object
-            weakref.finalize(self, self._files[-1].close)
+            weakref.finalize(self, close_files, self._files[-1])
         self._count = 0
 
     def __len__(self) -> int:
@@ -122,8 +123,9 @@ class _Shares:
         for name, column in zip(self._dtype.names or (), (keys[:, 0], keys[:, 1], *columns), strict=True):
             records[name] = column
         share = records["high"] // np.uint64(2**64 // SHARES)
-        for number in np.unique(share).tolist():
-            self._files[number].write(records[share == number].tobytes())
+        with temporary_space():
+            for number in np.unique(share).tolist():
+                self._files[number].write(records[share == number].tobytes())
         self._count += len(records)
 
     def __iter__(self) -> Iterator[npt.NDArray[Any]]:

@@ -14,6 +14,8 @@ from typing import Final
 
 import pyarrow as pa
 
+from factory.temporary import close_files, temporary_space
+
 __all__ = ["BATCH_ROWS", "Scratch", "batches", "let_go"]
 
 BATCH_ROWS: Final = 16_384
@@ -31,7 +33,7 @@ class Scratch:
         self._held: list[pa.RecordBatch] = []
         self._rows = 0
         self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
-        weakref.finalize(self, self._file.close)
+        weakref.finalize(self, close_files, self._file)
         self._writer: pa.ipc.RecordBatchFileWriter | None = None
 
     def write(self, batch: pa.RecordBatch) -> None:
@@ -39,17 +41,19 @@ class Scratch:
         self._rows += batch.num_rows
         self._held.append(batch)
         if self._rows > BATCH_ROWS:
-            self._writer = self._writer or pa.ipc.new_file(self._file, self._schema)
-            for held in self._held:
-                self._writer.write_batch(held)
+            with temporary_space():
+                self._writer = self._writer or pa.ipc.new_file(self._file, self._schema)
+                for held in self._held:
+                    self._writer.write_batch(held)
             self._held.clear()
             let_go()
 
     def table(self) -> pa.Table:
         """Return the whole table; nothing can be written after that. Its file lasts as long as the table."""
-        with self._file as file:
-            if self._writer is None:
-                return pa.Table.from_batches(self._held, schema=self._schema)
+        if self._writer is None:
+            close_files(self._file)
+            return pa.Table.from_batches(self._held, schema=self._schema)
+        with temporary_space(), self._file as file:
             self._writer.close()
             file.flush()
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from types import TracebackType
 from typing import Any, Final, Generic, TypeVar
 
+from factory.temporary import close_files, temporary_space
+
 __all__ = ["Spool"]
 
 T = TypeVar("T")
@@ -39,7 +41,7 @@ class Spool(Generic[T]):
         self._places = array("Q")
         self._count = 0
         self._end = 0
-        self._closing = weakref.finalize(self, _close, self._file, self._ends)
+        self._closing = weakref.finalize(self, close_files, self._file, self._ends)
         for item in items:
             self.append(item)
 
@@ -55,9 +57,10 @@ class Spool(Generic[T]):
         return self._count - 1
 
     def _flush(self) -> None:
-        for file, data in ((self._file, self._data), (self._ends, self._places)):
-            file.seek(0, os.SEEK_END)
-            file.write(data)
+        with temporary_space():
+            for file, data in ((self._file, self._data), (self._ends, self._places)):
+                file.seek(0, os.SEEK_END)
+                file.write(data)
         self._data = bytearray()
         self._places = array("Q")
 
@@ -77,11 +80,12 @@ class Spool(Generic[T]):
         if self._data:
             self._flush()
         before = min(first, 1)
-        self._ends.seek(8 * (first - before))
-        ends = array("Q", self._ends.read(8 * (stop - first + before)))
-        start = ends.pop(0) if before else 0
-        self._file.seek(start)
-        data = memoryview(self._file.read(ends[-1] - start))
+        with temporary_space():  # seeking writes what is buffered
+            self._ends.seek(8 * (first - before))
+            ends = array("Q", self._ends.read(8 * (stop - first + before)))
+            start = ends.pop(0) if before else 0
+            self._file.seek(start)
+            data = memoryview(self._file.read(ends[-1] - start))
         at = 0
         for end in ends:
             yield pickle.loads(data[at : end - start])
@@ -98,8 +102,3 @@ class Spool(Generic[T]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _close(*files: Any) -> None:
-    for file in files:
-        file.close()

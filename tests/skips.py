@@ -25,6 +25,7 @@ REASONS = (
     r"needs \d+ GiB of free memory",
     r"only Linux gives the name of an open file",
     r"root may write anywhere",
+    r"no /dev/full here",
     r"the system does not say how much memory a process holds",
     # One case of a product of parameters that does not exist.
     r"a rule of English",

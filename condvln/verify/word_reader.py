@@ -16,7 +16,9 @@ Match = tuple[int, str, frozenset[str]]
 ENDS: Final = frozenset(MARKS) - {","}
 """Punctuation that ends a sentence or a part of one. No phrase goes beyond it."""
 LONGEST_KEPT: Final = 64
-"""Words of the longest part of a sentence whose meaning is kept for later texts, and the most of its meanings."""
+"""Words of the longest part of a sentence whose meaning is kept for later texts."""
+MOST_MEANINGS: Final = 8
+"""Most meanings of a part of a sentence that are kept, which bounds the memory for texts made to be ambiguous."""
 MOST_KEPT: Final = 1 << 14
 """Parts of sentences whose meanings are kept."""
 
@@ -160,7 +162,7 @@ class WordReader:
         if known is not None:
             return [(at + length, *rest) for length, *rest in known]
         found = list(parse())
-        if len(found) <= LONGEST_KEPT:
+        if len(found) <= MOST_MEANINGS:
             if len(self.book.parsed) >= MOST_KEPT:
                 self.book.parsed.clear()
             self.book.parsed[told] = [(end - at, *rest) for end, *rest in found]

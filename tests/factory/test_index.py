@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import gc
 import os
 import pickle
 import sqlite3
+import tempfile
 import time
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -32,7 +37,7 @@ from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
 from factory.scratch import Scratch, batches, let_go
 from factory.spool import Spool
 from factory.unit import Work
-from schemas.errors import CorruptShardError, MissingFileError
+from schemas.errors import CorruptShardError, MissingFileError, StoreError
 
 ids = st.text(st.characters(codec="utf-8"), min_size=1, max_size=6)
 
@@ -260,6 +265,54 @@ def test_a_foreign_index_that_cannot_be_merged_is_refused(
     name = Index.write(store, pa.concat_tables(tables))
     with pytest.raises(CorruptShardError, match=what):
         Index.read(store, name)
+
+
+def full_disk(*_: object, **__: object) -> BinaryIO:
+    """A temporary file on a disk that is full."""
+    return open("/dev/full", "w+b")
+
+
+def spooled() -> None:
+    with Spool(range(10)) as spool:
+        for _ in range(4):
+            spool.append("x" * 400_000)  # type: ignore[arg-type]
+        list(spool)
+
+
+def scratched() -> None:
+    batch = pa.record_batch({"a": np.arange(2 * scratch_module.BATCH_ROWS)})
+    scratch = Scratch(batch.schema)
+    scratch.write(batch)
+    scratch.table()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("write", [spooled, scratched], ids=["spool", "scratch"])
+def test_a_full_temporary_disk_is_named(
+    write: Callable[[], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tempfile.TemporaryFile", full_disk)
+    with pytest.raises(StoreError, match="no space left for temporary files") as told:
+        write()
+    assert told.value.where == tempfile.gettempdir()
+    assert "TMPDIR" in str(told.value)
+    del told
+    gc.collect()
+    assert capsys.readouterr().err == "", "closing the files says nothing more"
+
+
+def test_an_index_on_a_failing_disk_is_an_error_of_the_store(
+    store: LocalStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = Index.write(store, IndexWriter(toys.pipeline()).finish(None))
+
+    def failing(file: BinaryIO) -> str:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(index_module, "_hash_of", failing)
+    with pytest.raises(StoreError, match="can't be read") as told:
+        Index.read(store, name)
+    assert name in str(told.value)
 
 
 def test_hashes_are_remembered_until_a_file_changes(tmp_path: Path) -> None:

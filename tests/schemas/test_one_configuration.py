@@ -88,7 +88,7 @@ TECHNICAL = {
     "instructions/language.py": {"MOST_STATED"},
     "instructions/reach.py": {"MOST_STEPS"},
     "verify/phrases.py": {"FARTHEST"},
-    "verify/word_reader.py": {"LONGEST_KEPT", "MOST_KEPT"},
+    "verify/word_reader.py": {"LONGEST_KEPT", "MOST_KEPT", "MOST_MEANINGS"},
     "verify/phrasebook.py": {"_FIRST_LETTER"},
     "instructions/sentences.py": {"LONGEST_SENTENCE"},
     # Codes of compiled kernels: which rule refused, and columns of arrays. Two are bounds of a search.
