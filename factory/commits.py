@@ -15,6 +15,7 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from factory.faults import FaultPlan
+from factory.kept_tables import KeptTables
 from factory.pipeline import Pipeline
 from factory.rows import logical_hash, parquet_bytes, parquet_table
 from factory.seal import sealed, unsealed
@@ -46,11 +47,15 @@ class Committed:
 
 
 class Commits:
-    """The units and the quarantine of one store."""
+    """The units and the quarantine of one store.
 
-    def __init__(self, store: Store, faults: FaultPlan | None = None) -> None:
+    kept : tables that this process made, so that it need not read them
+    """
+
+    def __init__(self, store: Store, faults: FaultPlan | None = None, kept: KeptTables | None = None) -> None:
         self.store = store
         self._faults = faults or FaultPlan()
+        self._kept = kept or KeptTables()
 
     @staticmethod
     def folder(stage: str, key: str) -> str:
@@ -137,6 +142,11 @@ class Commits:
         self._faults.reach("unit-after-commit")
         return Committed(commit, len(content) + sum(record.bytes for record in _files(commit).values()))
 
+    def keep(self, commit: UnitCommit, name: str, table: pa.Table) -> None:
+        """Keep a table of a commit in memory for the next one who asks for it."""
+        path = f"{self.folder(commit.stage, commit.key)}/{name}.parquet"
+        self._kept.put(path, commit.tables[name].logical_hash, table)
+
     def table(self, stage: str, key: str, name: str, rows_hash: str | None = None) -> pa.Table:
         """Read one table of a commit.
 
@@ -145,6 +155,9 @@ class Commits:
         Raises ``CorruptShardError`` when the file is gone, cut, or its rows differ from the hash.
         """
         path = f"{self.folder(stage, key)}/{name}.parquet"
+        kept = None if rows_hash is None else self._kept.take(path, rows_hash)
+        if kept is not None:
+            return kept
         table = parquet_table(self._verified(path, None), self._where(path))
         # A flipped bit inside a page may well decode: only the rows' own hash tells.
         if rows_hash is not None and logical_hash(table)[0] != rows_hash:

@@ -29,6 +29,7 @@ from factory.deadline import Deadline
 from factory.faults import FaultPlan
 from factory.garbage import collected_between_units
 from factory.heartbeat import Place
+from factory.kept_tables import kept_tables
 from factory.key import Keyer, StageKey
 from factory.memory import MemoryCeiling, release, share
 from factory.pipeline import plain_name
@@ -69,7 +70,7 @@ class Worker:
         self.place = Place()
         self.pipeline = context.pipeline
         self.faults = FaultPlan.parse(context.faults) if context.faults else FaultPlan.from_environment()
-        self.commits = Commits(context.store, self.faults)
+        self.commits = Commits(context.store, self.faults, kept_tables(context.token))
         self.quarantine = Quarantine(context, self.commits)
         self.keyer = Keyer(context.pipeline)
         self.shared = SharedTables(self.commits, context.shared)
@@ -140,6 +141,7 @@ class Worker:
                             status = "quarantined"
                             break
                         found, tables = self._make(unit, chain, stage, key)
+                        self._keep(chain.at, until, found, tables)
                         chain.add(receipt_of(found, made=True), tables)
                     else:
                         chain.add(receipt_of(found, made=False))
@@ -156,6 +158,12 @@ class Worker:
                 status, reason = "skipped", found.commit.reason
                 break
         return self._receipt(unit, chain, fingerprint, status, attempt, reason, failure)
+
+    def _keep(self, at: int, until: int, made: Committed, tables: Mapping[str, pa.Table]) -> None:
+        """Keep the tables of the stage at position ``at`` that stages of a later pass read."""
+        read = {table for later in range(until, len(self.pipeline.stages)) for table in self.pipeline.visible(later)}
+        for name in sorted(name for name, position in read if position == at):
+            self.commits.keep(made.commit, name, tables[name])
 
     def _receipt(
         self,
