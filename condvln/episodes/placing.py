@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from condvln.episodes.facing import HEADINGS, Facings, Headings
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
-from condvln.episodes.kernels.starts import REFUSALS
+from condvln.episodes.kernels.starts import REFUSALS, Bounds
 from condvln.episodes.routes import GoalField, Route
-from condvln.episodes.starts import Starts
+from condvln.episodes.starts import ANY_LENGTH, FoundLeaf, Leaves, Starts
 from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
@@ -269,17 +269,12 @@ class Placer:
         if not len(self.starts):
             raise Rejected("no_start")
         self.check_objects(program)
-        leaves = [[self._order[move.object_id] for move in leaf.moves] for leaf in program.leaves]
-        possible = self._starts_in_range(leaves)
-        if not len(possible):
-            raise Rejected("no_start_in_range")
-        possible = self._starts_without_detour(leaves, possible)
-        if not len(possible):
-            raise Rejected("detour")
-        if lengths is not None:
-            possible = self._starts_not_too_far(leaves, possible, lengths)
-            if not len(possible):
-                raise Rejected(ROUTE_MISSED)
+        leaves = Leaves([[self._order[move.object_id] for move in leaf.moves] for leaf in program.leaves])
+        possible = self._from_starts.possible(
+            leaves, self._bounds if lengths is None else self._bounds._replace(least=lengths[0], most=lengths[1])
+        )
+        if isinstance(possible, str):
+            raise Rejected(possible)
         rng = generator(self.seed, self.scene.scene_id, "place", instruction_id)
         facing = self._facing(members or (program,), rng)
         if facing is not None:
@@ -297,7 +292,7 @@ class Placer:
                 break
             at += found.refused
             try:
-                return self._placed(program, leaves, int(order[at]), yaws[at], found.routes, fit)
+                return self._placed(program, int(order[at]), yaws[at], found.leaves, fit)
             except Rejected as rejected:
                 failures[rejected.reason] += 1
             at += 1
@@ -332,52 +327,23 @@ class Placer:
     def _facings(self) -> Facings:
         return Facings(self.scene, self.starts, self.thresholds, self.sightings)
 
-    def _starts_in_range(self, leaves: Sequence[Sequence[int]]) -> NDArray[np.int64]:
-        """Return the starts from which every stop and every goal of the leaves is far enough, and no goal too far."""
+    @cached_property
+    def _bounds(self) -> Bounds:
+        """The bounds of programs whose routes may have any length."""
         low, high = self.rules.range(self.scene.single_room)
-        goals = self._from_starts.distances([leaf[-1] for leaf in leaves])
-        stops = self._from_starts.distances([stop for leaf in leaves for stop in leaf[:-1]])
-        good = ((goals > 2 * self.tau) & (goals >= low) & (goals <= high)).all(axis=0)
-        return np.flatnonzero(good & (stops > 2 * self.tau).all(axis=0))
-
-    def _starts_without_detour(self, leaves: Sequence[Sequence[int]], possible: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the starts of `possible` from which no leaf's route exceeds the detour limit."""
-        if self.scene.single_room:
-            return possible
-        good = np.ones(len(possible), dtype=bool)
-        for leaf in leaves:
-            if len(leaf) > 1:
-                direct = self._from_starts.distances(leaf[-1:])[0, possible]
-                route = self._from_starts.route_lengths(possible, leaf)
-                good &= route <= self.rules.detour_factor * direct + self.rules.detour_slack
-        return possible[good]
-
-    def _starts_not_too_far(
-        self, leaves: Sequence[Sequence[int]], possible: NDArray[np.int64], lengths: tuple[float, float]
-    ) -> NDArray[np.int64]:
-        """Return the starts of `possible` from which the route of every leaf can have a length in the range `lengths`.
-
-        A route is never shorter than the geodesic distance to its goal, and equal to it if the leaf has a single stop.
-        """
-        low, high = lengths
-        good = np.ones(len(possible), dtype=bool)
-        for leaf in leaves:
-            goal = self._from_starts.distances(leaf[-1:])[0, possible]
-            good &= goal <= high
-            if len(leaf) == 1:
-                good &= goal >= low
-        return possible[good]
+        # In a single room no route is a detour.
+        factor = math.inf if self.scene.single_room else self.rules.detour_factor
+        return Bounds(2 * self.tau, low, high, factor, self.rules.detour_slack, *ANY_LENGTH)
 
     def _placed(
         self,
         program: Program,
-        leaves: Sequence[Sequence[int]],
         at: int,
         yaw: float,
-        routes: Sequence[Route],
+        leaves: Sequence[FoundLeaf],
         fit: Fit | None,
     ) -> Placement:
-        """Return the placement at start number `at`, whose `routes` meet the rules.
+        """Return the placement at start number `at`, whose `leaves` meet the rules.
 
         Raises
         ------
@@ -385,16 +351,14 @@ class Placer:
         """
         start = self.starts[at]
         if fit is not None:
-            fitting = fit(Outlook(start, yaw, tuple(route.path for route in routes)))
+            fitting = fit(Outlook(start, yaw, tuple(found.route.path for found in leaves)))
             if fitting is None:
                 raise Rejected(NOT_FIT)
             yaw = fitting
         placed = []
-        for leaf, stops, route in zip(program.leaves, leaves, routes, strict=True):
-            goals = self._from_starts.ordered_goals(at, stops[-1])
-            direct = float(self._from_starts.distances(stops[-1:])[0, at])
+        for leaf, (route, distance, goals) in zip(program.leaves, leaves, strict=True):
             walk = self._walk(start, yaw, route)
-            placed.append(PlacedLeaf(tuple(m.object_id for m in leaf.moves), goals, route, direct, walk))
+            placed.append(PlacedLeaf(tuple([m.object_id for m in leaf.moves]), goals, route, distance, walk))
         return Placement(start, yaw, tuple(placed), self.tau)
 
     def _walk(self, start: F64, yaw: float, route: Route) -> FollowedRoute:

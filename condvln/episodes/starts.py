@@ -1,34 +1,37 @@
-"""The starts of a scene: their distances to all objects, and the first start that meets a program's rules."""
+"""The starts of a scene: which of them a program may have, and the first one that meets all of its rules."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from itertools import accumulate, pairwise
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.compiled import register_warm_up
 from condvln.episodes.footprint import Footprints
-from condvln.episodes.kernels.distances import nearest_points
 from condvln.episodes.kernels.starts import (
+    DETOUR,
     FITS,
     FULL,
+    OUT_OF_RANGE,
     REFUSALS,
+    TOO_FAR,
+    Bounds,
     KnownWays,
     Places,
     first_fit,
+    possible_starts,
     put_keys,
-    route_lengths,
 )
 from condvln.episodes.routes import GoalField, Route
 from condvln.navigation.kernels.projection import ANY_ISLAND, project
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.points import many_points
 
-__all__ = ["FoundStart", "Starts"]
+__all__ = ["FoundLeaf", "FoundStart", "Leaves", "Starts"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -39,17 +42,48 @@ WAYS, CORNERS = 4096, 1 << 15
 ANY_LENGTH: Final = (-math.inf, math.inf)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class FoundStart:
-    """The first start that fits: the number of starts refused before it, and the route to each leaf."""
+UNMET: Final = {OUT_OF_RANGE: "no_start_in_range", DETOUR: "detour", TOO_FAR: "route_missed"}
+"""Rejection reasons: the rule that no start meets."""
+
+
+class Leaves:
+    """The leaves of a program.
+
+    Attributes
+    ----------
+    moves : (m,) the objects of each leaf's stops, the last one its goal, of all leaves
+    first : (l + 1,) where each of the l leaves begins
+    """
+
+    def __init__(self, leaves: Sequence[Sequence[int]]) -> None:
+        self.ends = list(accumulate(map(len, leaves), initial=0))
+        self.moves = np.array([move for leaf in leaves for move in leaf], np.int64)
+        self.first = np.array(self.ends, np.int64)
+
+
+class FoundLeaf(NamedTuple):
+    """What was found for one leaf from a start: its route; the geodesic distance in metres from the start to the
+    nearest goal point; and all goal points (k, 3), that one first, then the others in their order.
+
+    Stock sensors measure the distance to the first goal, stock measures to the nearest one; with this order both
+    agree at the start. A route through stops may end at another goal point.
+    """
+
+    route: Route
+    distance: float
+    goals: F64
+
+
+class FoundStart(NamedTuple):
+    """The first start that fits: the number of starts refused before it, and what was found for each leaf."""
 
     refused: int
-    routes: tuple[Route, ...]
+    leaves: tuple[FoundLeaf, ...]
 
 
 class Starts:
-    """The start positions of one scene, with their geodesic distances to its objects. Distances and ways are found when
-    they are first needed, and kept.
+    """The start positions of one scene. Their geodesic distances to its objects, and the ways between places, are found
+    when they are first needed, and kept.
 
     Parameters
     ----------
@@ -63,9 +97,7 @@ class Starts:
         asked = many_points(exact)
         polys, at = project(self._mesh, asked, ANY_ISLAND)
         count = len(positions)
-        objects = len(field.first) - 1
-        self._measured: set[int] = set()
-        self._distances = np.full((objects, count), np.nan)
+        objects, self._first = len(field.first) - 1, field.first.tolist()
         distance, nearest = np.full((count, objects), np.nan), np.zeros((count, objects), np.int64)
         self._places = Places(asked, polys, at, exact, field.first, distance, nearest, *solid.boxes)
         self._known = KnownWays(
@@ -80,57 +112,35 @@ class Starts:
             np.zeros(2, np.int64),
         )
 
-    def distances(self, objects: Sequence[int]) -> F64:
-        """Return the geodesic distances (k, s) in metres from each start to the nearest goal point of each of k
-        objects; infinite without a path.
+    def possible(self, leaves: Leaves, bounds: Bounds) -> I64 | str:
+        """Return the starts (k,), ascending, that are within the `bounds` of a program, or why there is none: the rule
+        that no start meets which meets the rules before it.
         """
-        self._measure(objects)
-        return self._distances[list(objects)]
-
-    def _measure(self, objects: Sequence[int]) -> None:
-        """Find the nearest goal points of objects from all starts, unless they are known."""
-        if not self._measured.issuperset(objects):
-            new, places = np.array(sorted({*objects} - self._measured), np.int64), self._places
-            nearest_points(
-                self._mesh, places.asked, places.polys, places.at, places.first, new, places.distance, places.nearest
+        found = np.empty(len(self.positions), np.int64)
+        while True:
+            count, outcome = possible_starts(
+                self._mesh, self._places, self._known, leaves.moves, leaves.first, bounds, found
             )
-            self._distances[new] = places.distance[:, new].T
-            self._measured.update(new.tolist())
-
-    def route_lengths(self, starts: I64, moves: Sequence[int]) -> F64:
-        """Return the lengths (k,) in metres of the routes from k of the starts through the objects of `moves`, each
-        time to the nearest goal point of the next object; infinite without a path.
-        """
-        self._measure(moves)
-        lengths, through = np.empty(len(starts)), np.array(moves, np.int64)
-        while not route_lengths(self._mesh, self._places, self._known, through, starts, lengths):
+            if outcome != FULL:
+                return found[:count] if outcome == FITS else UNMET[outcome]
             self._make_room()
-        return lengths
 
     def first_fit(
-        self,
-        leaves: Sequence[Sequence[int]],
-        order: I64,
-        apart: float,
-        lengths: tuple[float, float] | None,
-        refused: I64,
+        self, leaves: Leaves, order: I64, apart: float, lengths: tuple[float, float] | None, refused: I64
     ) -> FoundStart | None:
         """Return the first start of `order` from which the routes of all leaves exist, cross no solid footprint, keep
         `apart` metres from the goal points of all other leaves, and have `lengths` (inclusive bounds in metres).
 
         Parameters
         ----------
-        leaves : the objects of each leaf's stops, the last one its goal
         refused : (4,) to which the number of starts refused for each reason of ``REFUSALS`` is added
         """
-        moves = np.array([move for leaf in leaves for move in leaf], np.int64)
-        self._measure(moves.tolist())
-        first_move = np.cumsum([0, *map(len, leaves)], dtype=np.int64)
+        least, most = lengths or ANY_LENGTH
         tried = 0
         while True:
-            outcome, count, corners, sizes, stops, found = first_fit(
-                self._mesh, self._places, self._known, moves, first_move, order[tried:], apart,
-                *(lengths or ANY_LENGTH), refused,
+            outcome, count, corners, sizes, stops, found, direct, nearest = first_fit(
+                self._mesh, self._places, self._known, leaves.moves, leaves.first, order[tried:], apart, least, most,
+                refused,
             )  # fmt: skip
             tried += count
             if outcome != FULL:
@@ -138,27 +148,26 @@ class Starts:
             self._make_room()
         if outcome != FITS:
             return None
-        points = self._field.points
-        paths = np.split(corners, np.cumsum(sizes)[:-1])
-        ends = np.split(stops, first_move[1:-1])
+        ends, points = self._field.points[stops], list(accumulate(sizes.tolist(), initial=0))
+        routes = [
+            Route(ends[i:j], corners[begin:end], length)
+            for (i, j), (begin, end), length in zip(
+                pairwise(leaves.ends), pairwise(points), found.tolist(), strict=True
+            )
+        ]
+        goals = leaves.moves[leaves.first[1:] - 1].tolist()
         return FoundStart(
             tried,
             tuple(
-                Route(points[end], path, length) for end, path, length in zip(ends, paths, found.tolist(), strict=True)
+                FoundLeaf(route, distance, self._ordered_goals(goal, point))
+                for route, distance, goal, point in zip(routes, direct.tolist(), goals, nearest.tolist(), strict=True)
             ),
         )
 
-    def ordered_goals(self, start: int, goal: int) -> F64:
-        """Return an object's goal points (k, 3): first the one geodesically nearest to the start, then the others in
-        their order.
-
-        Stock sensors measure the distance to the first goal, stock measures to the nearest one; with this order both
-        agree at the start. A route through stops may end at another goal point.
-        """
-        points = self._field.points[self._field.first[goal] : self._field.first[goal + 1]]
-        self._measure([goal])
-        nearest = int(self._places.nearest[start, goal] - self._field.first[goal])
-        return np.concatenate([points[nearest : nearest + 1], points[:nearest], points[nearest + 1 :]])
+    def _ordered_goals(self, goal: int, nearest: int) -> F64:
+        """Return the goal points (k, 3) of an object, point number `nearest` of the scene first."""
+        begin, end = self._first[goal], self._first[goal + 1]
+        return self._field.points[[nearest, *range(begin, nearest), *range(nearest + 1, end)]]
 
     def _make_room(self) -> None:
         """Double the room for ways and corners."""
@@ -181,8 +190,9 @@ def _warm_up() -> None:
     goals = GoalField(pathfinder, {"a": np.array([[0.9, 0, 0.5]]), "b": np.array([[0.1, 0, 0.1]])})
     goals.apart(0.1)
     starts = Starts(pathfinder, goals, np.array([[0.1, 0.0, 0.5]]), Footprints([]))
-    starts.first_fit([[0, 1]], np.zeros(1, np.int64), 0.1, None, np.zeros(len(REFUSALS), np.int64))
-    starts.route_lengths(np.zeros(1, np.int64), [0, 1])
+    leaves = Leaves([[0, 1]])
+    starts.possible(leaves, Bounds(0.1, 0.1, 1.0, 2.0, 4.0, *ANY_LENGTH))
+    starts.first_fit(leaves, np.zeros(1, np.int64), 0.1, None, np.zeros(len(REFUSALS), np.int64))
     starts._make_room()
 
 

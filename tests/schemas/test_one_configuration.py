@@ -94,6 +94,7 @@ TECHNICAL = {
     # Codes of compiled kernels: which rule refused, and columns of arrays. Two are bounds of a search.
     "episodes/kernels/starts.py": {
         "ACCEPTED",
+        "DETOUR",
         "FITS",
         "FULL",
         "FURNITURE",
@@ -101,7 +102,9 @@ TECHNICAL = {
         "NOTHING_FITS",
         "NO_ROOM",
         "OTHER_LEAF",
+        "OUT_OF_RANGE",
         "PER_METRE",
+        "TOO_FAR",
         "UNKNOWN",
         "UNREACHABLE",
     },

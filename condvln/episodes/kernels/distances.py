@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NO_POLYGON
@@ -17,7 +17,7 @@ from condvln.navigation.tile import Floats, Indices
 from condvln.uncounted import keep, uncounted
 from schemas.config.constants import SNAP_AT_MOST
 
-__all__ = ["apart_objects", "distance_between", "nearest_points", "straight_distance"]
+__all__ = ["apart_objects", "distance_between", "nearest_point", "straight_distance", "straight_to_object"]
 
 Doubles = npt.NDArray[np.float64]
 
@@ -66,54 +66,53 @@ def distance_between(
     return (float(length) if math.isfinite(length) else math.inf), count
 
 
-@compiled
-def nearest_points(
+@inlined
+def straight_to_object(at: Floats, start: int, begin: int, end: int) -> float:
+    """Return the lower bound of `straight_distance` from a place to the places from ``begin`` to ``end``."""
+    least = math.inf
+    for place in range(begin, end):
+        least = min(least, straight_distance(at, start, place))
+    return least
+
+
+@inlined
+def nearest_point(
     mesh: QueryMesh,
+    search: Search,
     asked: Floats,
     polys: Indices,
     at: Floats,
-    first: Indices,
-    objects: Indices,
-    distance: Doubles,
-    nearest: Indices,
-) -> None:
-    """Find the goal point of each of the ``objects`` that is geodesically nearest to each start; of points at the same
-    distance, the first one.
+    start: int,
+    begin: int,
+    end: int,
+    points: Floats,
+) -> tuple[float, int]:
+    """Return the geodesic distance in metres from a place to the nearest of the places from ``begin`` to ``end``, and
+    which of them that is: the first of those at the same distance. Without a path, these are infinite and ``begin``.
 
-    The point nearest by the straight line comes first; a point that is farther than the best path by the straight line
+    The place nearest by the straight line comes first; a place that is farther than the best path by the straight line
     is left out.
 
     Parameters
     ----------
-    asked, polys, at : the s starts and then all p goal points, see `distance_between`
-    first : (n + 1,) first goal point of each object
-    distance, nearest : (s, n) columns of ``objects`` are set to the distance in metres, infinite without a path, and to
-        the point; without a path, to the object's first point
+    asked, polys, at : the places, see `distance_between`
+    points : (MAX_POINTS, 3) working memory
     """
-    starts = distance.shape[0]
-    mesh, asked, polys, at = uncounted((mesh, asked, polys, at))
-    held = (new_search(mesh.poly_size.shape[0]), np.empty((MAX_POINTS, 3), np.float32))
-    search, points = uncounted(held)
-    for k in objects:
-        begin, end = first[k], first[k + 1]
-        straight = np.empty(end - begin)
-        for start in range(starts):
-            best, chosen = math.inf, begin
-            if polys[start] != NO_POLYGON:
-                closest = 0
-                for i in range(end - begin):
-                    straight[i] = straight_distance(at, start, starts + begin + i)
-                    if straight[i] < straight[closest]:
-                        closest = i
-                for turn in range(-1, end - begin):
-                    i = closest if turn < 0 else turn
-                    if turn == closest or straight[i] > best:
-                        continue
-                    found, _ = distance_between(mesh, search, asked, polys, at, start, starts + begin + i, points)
-                    if found < best or (found == best and found < math.inf and begin + i < chosen):
-                        best, chosen = found, begin + i
-            distance[start, k], nearest[start, k] = best, chosen
-    keep(held)
+    best, chosen = math.inf, begin
+    if polys[start] != NO_POLYGON:
+        closest, least = begin, math.inf
+        for place in range(begin, end):
+            straight = straight_distance(at, start, place)
+            if straight < least:
+                closest, least = place, straight
+        for turn in range(begin - 1, end):
+            place = closest if turn < begin else turn
+            if turn == closest or straight_distance(at, start, place) > best:
+                continue
+            found, _ = distance_between(mesh, search, asked, polys, at, start, place, points)
+            if found < best or (found == best and found < math.inf and place < chosen):
+                best, chosen = found, place
+    return best, chosen
 
 
 @compiled

@@ -1,4 +1,6 @@
-"""Try starts for a program: routes from places to the nearest goal points of objects, each found once a scene."""
+"""Try starts for a program: routes from places to the nearest goal points of objects, each found once a scene and only
+if some rule depends on it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined
-from condvln.episodes.kernels.distances import distance_between, straight_distance
+from condvln.episodes.kernels.distances import (
+    distance_between,
+    nearest_point,
+    straight_distance,
+    straight_to_object,
+)
 from condvln.episodes.kernels.ways import comes_within, passes_through
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -22,16 +29,19 @@ __all__ = [
     "FULL",
     "NOTHING_FITS",
     "REFUSALS",
+    "Bounds",
     "KnownWays",
     "Places",
     "first_fit",
-    "route_lengths",
+    "possible_starts",
 ]
 
 Doubles = npt.NDArray[np.float64]
 
 FITS, NOTHING_FITS, FULL = 0, 1, 2
 """Outcomes: a start was found; every start was refused; ``KnownWays`` needs more room before the next start."""
+OUT_OF_RANGE, DETOUR, TOO_FAR = 3, 4, 5
+"""Rules that none of the starts meets."""
 
 REFUSALS = ("unreachable", "path_through_furniture", "path_enters_other_leaf", "route_missed")
 """Reasons why a start is refused, in the order of their counts."""
@@ -65,6 +75,22 @@ class Places(NamedTuple):
     """(b, 2) rectangles that no path may cross, see ``passes_through``"""
     half: Doubles
     axes: Doubles
+
+
+class Bounds(NamedTuple):
+    """Where a program may start, by distances along the floor. All in metres, but the factor."""
+
+    near: float
+    """A start must be farther than this from every stop and goal."""
+    low: float
+    """least and greatest distance to the goals"""
+    high: float
+    factor: float
+    """A route with stops may have at most this factor times the distance to its goal, plus the slack."""
+    slack: float
+    least: float
+    """least and greatest length of all routes"""
+    most: float
 
 
 class KnownWays(NamedTuple):
@@ -117,6 +143,20 @@ def _known_way(keys: Indices, ways: Indices, key: int) -> int:
 
 
 @compiled
+def _from_start(mesh: QueryMesh, search: Search, places: Places, start: int, goal: int, points: Floats) -> float:
+    """Return the distance from a start to the nearest goal point of an object. It is found once, with that point."""
+    length = places.distance[start, goal]
+    if math.isnan(length):
+        starts, first = places.distance.shape[0], places.first
+        length, point = nearest_point(
+            mesh, search, places.asked, places.polys, places.at, start, starts + first[goal], starts + first[goal + 1],
+            points,
+        )  # fmt: skip
+        places.distance[start, goal], places.nearest[start, goal] = length, point - starts
+    return float(length)
+
+
+@compiled
 def _new_way(
     mesh: QueryMesh,
     search: Search,
@@ -139,8 +179,8 @@ def _new_way(
         return NO_ROOM
     best, length, count = places.first[goal], math.inf, 0
     if place < starts:
+        length = _from_start(mesh, search, places, place, goal, points)
         best = places.nearest[place, goal]
-        length = places.distance[place, goal]
         if length < math.inf:
             _, count = distance_between(mesh, search, places.asked, places.polys, places.at, place, starts + best, kept)
     else:
@@ -166,36 +206,139 @@ def _new_way(
     return int(way)
 
 
-@compiled
-def route_lengths(
-    mesh: QueryMesh, places: Places, known: KnownWays, moves: Indices, starts: Indices, lengths: Doubles
+@inlined
+def _in_range(
+    mesh: QueryMesh,
+    search: Search,
+    places: Places,
+    start: int,
+    moves: Indices,
+    first_move: Indices,
+    bounds: Bounds,
+    points: Floats,
 ) -> bool:
-    """Write to ``lengths`` (k,) the lengths in metres of the routes from each of k starts through all ``moves``, each
-    time to the nearest goal point of the next object. Return whether there was room for all ways.
+    """Return whether all stops and goals are far enough from a start, and no goal is too far. The straight lines to all
+    of them are tested before the first path is sought.
+    """
+    first, starts = places.first, places.distance.shape[0]
+    good = True
+    for turn in range(2):
+        for leaf in range(first_move.shape[0] - 1):
+            for k in range(first_move[leaf], first_move[leaf + 1]):
+                if not good:
+                    break
+                move, is_goal = moves[k], k == first_move[leaf + 1] - 1
+                away = places.distance[start, move]
+                if math.isnan(away):
+                    straight = straight_to_object(places.at, start, starts + first[move], starts + first[move + 1])
+                    good = not (is_goal and straight > bounds.high)
+                    if turn == 0 or not good or (straight > bounds.near and not is_goal):
+                        continue
+                    away = _from_start(mesh, search, places, start, move, points)
+                good = away > bounds.near and (not is_goal or bounds.low <= away <= bounds.high)
+    return good
+
+
+@inlined
+def _detour(
+    mesh: QueryMesh,
+    search: Search,
+    places: Places,
+    known: KnownWays,
+    start: int,
+    moves: Indices,
+    first_move: Indices,
+    bounds: Bounds,
+    points: Floats,
+    kept: Floats,
+) -> int:
+    """Return ``ACCEPTED`` if no leaf's route from a start is too long for the distance to its goal, ``DETOUR`` if one
+    is, or ``NO_ROOM``.
+    """
+    starts, objects = places.distance.shape[0], places.first.shape[0] - 1
+    result = ACCEPTED
+    for leaf in range(first_move.shape[0] - 1):
+        begin, end = first_move[leaf], first_move[leaf + 1]
+        if result != ACCEPTED or end - begin < 2:
+            continue
+        length = _from_start(mesh, search, places, start, moves[begin], points)
+        at, onward = places.nearest[start, moves[begin]], 0.0
+        for k in range(begin + 1, end):
+            way = _known_way(known.keys, known.ways, (starts + at) * objects + moves[k])
+            if way == UNKNOWN:
+                way = _new_way(mesh, search, places, known, starts + at, moves[k], points, kept)
+            if way == NO_ROOM:
+                result = NO_ROOM
+                break
+            onward += known.distance[way]
+            at = known.point[way]
+        direct = places.distance[start, moves[end - 1]]
+        if result == ACCEPTED and not length + onward <= bounds.factor * direct + bounds.slack:
+            result = DETOUR
+    return result
+
+
+@inlined
+def _can_have_length(
+    places: Places, start: int, moves: Indices, first_move: Indices, least: float, most: float
+) -> bool:
+    """Return whether the route of every leaf can have a length from ``least`` to ``most``: a route is never shorter
+    than the distance to its goal, and equal to it if the leaf has a single stop.
+    """
+    good = True
+    for leaf in range(first_move.shape[0] - 1):
+        direct = places.distance[start, moves[first_move[leaf + 1] - 1]]
+        good = good and direct <= most and (direct >= least or first_move[leaf + 1] - first_move[leaf] > 1)
+    return good
+
+
+@compiled
+def possible_starts(
+    mesh: QueryMesh,
+    places: Places,
+    known: KnownWays,
+    moves: Indices,
+    first_move: Indices,
+    bounds: Bounds,
+    possible: Indices,
+) -> tuple[int, int]:
+    """Write the starts within the ``bounds`` of a program to ``possible`` (s,), ascending.
+
+    Returns
+    -------
+    their number; and ``FITS``, ``FULL`` if there was no room for all ways, or else the rule that none of the starts
+    meets which meet the rules before it: ``OUT_OF_RANGE``, ``DETOUR`` or ``TOO_FAR``
     """
     mesh, places, known = uncounted((mesh, places, known))
     held = new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32)
     search, corners = uncounted(held)
     points, kept = corners[0], corners[1]
-    first, objects = places.distance.shape[0], places.first.shape[0] - 1
-    room = True
-    for i in range(starts.shape[0]):
-        at = places.nearest[starts[i], moves[0]]
-        onward = 0.0
-        for k in range(1, moves.shape[0]):
-            way = _known_way(known.keys, known.ways, (first + at) * objects + moves[k])
-            if way == UNKNOWN:
-                way = _new_way(mesh, search, places, known, first + at, moves[k], points, kept)
-            if way == NO_ROOM:
-                room = False
+    count, outcome = 0, OUT_OF_RANGE
+    # Lengths need no further path, so they come before detours. If no start is left, it is asked again whether all that
+    # were in range were detours.
+    for turn in range(2):
+        for start in range(places.distance.shape[0]):
+            if outcome == FULL or (turn == 1 and outcome != DETOUR):
                 break
-            onward += known.distance[way]
-            at = known.point[way]
-        if not room:
-            break
-        lengths[i] = places.distance[starts[i], moves[0]] + onward
+            if not _in_range(mesh, search, places, start, moves, first_move, bounds, points):
+                continue
+            if turn == 0:
+                outcome = DETOUR if outcome == OUT_OF_RANGE else outcome
+                if not _can_have_length(places, start, moves, first_move, bounds.least, bounds.most):
+                    continue
+            judged = ACCEPTED
+            if bounds.factor < math.inf:
+                judged = _detour(mesh, search, places, known, start, moves, first_move, bounds, points, kept)
+            if judged == NO_ROOM:
+                outcome = FULL
+            elif judged == ACCEPTED and turn == 1:
+                outcome = TOO_FAR
+            elif judged == ACCEPTED:
+                possible[count] = start
+                count += 1
+                outcome = FITS
     keep(held)
-    return room
+    return count, outcome
 
 
 @inlined
@@ -282,7 +425,7 @@ def first_fit(
     least: float,
     most: float,
     refused: Indices,
-) -> tuple[int, int, Doubles, Indices, Indices, Doubles]:
+) -> tuple[int, int, Doubles, Indices, Indices, Doubles, Doubles, Indices]:
     """Find the first start from which the routes of all leaves meet the rules.
 
     Parameters
@@ -296,7 +439,8 @@ def first_fit(
     Returns
     -------
     the outcome; the number of starts that were refused; the corners (c, 3) of the paths of all leaves, with their
-    numbers (l,); the goal point (m,) of each move; and the lengths (l,) of the routes in metres
+    numbers (l,); the goal point (m,) of each move; the lengths (l,) of the routes in metres; and of each leaf the
+    distance (l,) in metres from the start to the nearest goal point, with that point (l,)
     """
     leaves = first_move.shape[0] - 1
     most_moves = 0
@@ -327,10 +471,14 @@ def first_fit(
         refused[found] += 1
         tried += 1
     corners = np.empty((sizes.sum() if outcome == FITS else 0, 3))
+    direct, nearest = np.empty(leaves), np.empty(leaves, np.int64)
     if outcome == FITS:
         used = 0
         for leaf in range(leaves):
+            goal = moves[first_move[leaf + 1] - 1]
+            direct[leaf] = _from_start(mesh, search, places, order[tried], goal, points)
+            nearest[leaf] = places.nearest[order[tried], goal]
             corners[used : used + sizes[leaf]] = paths[leaf, : sizes[leaf]]
             used += sizes[leaf]
     keep(held)
-    return outcome, tried, corners, sizes, stops, lengths
+    return outcome, tried, corners, sizes, stops, lengths, direct, nearest

@@ -10,10 +10,10 @@ import pytest
 
 import condvln.episodes.starts as module
 from condvln.episodes.footprint import Footprint, Footprints
-from condvln.episodes.kernels.starts import REFUSALS
+from condvln.episodes.kernels.starts import REFUSALS, Bounds
 from condvln.episodes.kernels.ways import comes_within, passes_through
 from condvln.episodes.routes import GoalField, Route
-from condvln.episodes.starts import Starts
+from condvln.episodes.starts import Leaves, Starts
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import round_mm
 from tests.condvln.episodes.floors import grid_floor
@@ -100,33 +100,81 @@ def test_the_first_start_and_the_refusals_are_those_of_single_queries(
         order, refused = rng.permutation(len(positions))[:6], np.zeros(len(REFUSALS), np.int64)
         reasons = [expected_refusal(field, positions[k], leaves, lengths) for k in order]
         count = reasons.index(None) if None in reasons else len(reasons)
-        found = starts.first_fit(leaves, order, APART, lengths, refused)
+        found = starts.first_fit(Leaves(leaves), order, APART, lengths, refused)
         assert Counter(reasons[:count]) == Counter(dict(zip(REFUSALS, refused.tolist(), strict=True)))
         seen.update(reasons)
         assert (found is None) == (None not in reasons)
         if found is not None:
             assert found.refused == count
-            for route, leaf in zip(found.routes, leaves, strict=True):
-                expected = expected_route(field, positions[order[count]], leaf)
+            start = positions[order[count]]
+            for (route, distance, goals), leaf in zip(found.leaves, leaves, strict=True):
+                expected = expected_route(field, start, leaf)
                 assert expected is not None
                 np.testing.assert_array_equal(route.stops, expected.stops)
                 np.testing.assert_array_equal(route.path, expected.path)
                 assert route.length == expected.length
+                away, points = distances(field, start, leaf[-1])
+                assert distance == away.min()
+                np.testing.assert_array_equal(goals[0], points[away.argmin()])
+                np.testing.assert_array_equal(goals[1:], np.delete(points, away.argmin(), axis=0))
     wanted = {None, *REFUSALS} - ({"route_missed"} if lengths is None else set())
     assert set(seen) == wanted
 
 
-def test_distances_goals_and_lengths_are_those_of_single_queries(floor, field, positions) -> None:
-    starts = Starts(floor, field, positions, SOLID)
-    for goal, points in enumerate(field.goals.values()):
-        for k, position in enumerate(positions):
-            away = np.array([floor.geodesic_distance(position, point) for point in points])
-            assert starts.distances([goal])[0, k] == away.min()
-            ordered = starts.ordered_goals(k, goal)
-            np.testing.assert_array_equal(ordered[0], points[away.argmin()])
-            np.testing.assert_array_equal(ordered[1:], np.delete(points, away.argmin(), axis=0))
-    some = np.array([3, 0, 17])
-    for moves in ((0,), (1, 4), (5, 0, 3), (2, 6)):
-        routes = [expected_route(field, positions[k], moves) for k in some]
-        expected = [np.inf if route is None else route.length for route in routes]
-        np.testing.assert_array_equal(starts.route_lengths(some, moves), expected)
+def distances(field: GoalField, start: np.ndarray, goal: int) -> tuple[np.ndarray, np.ndarray]:
+    """The geodesic distance (k,) to each goal point of an object, and the points (k, 3)."""
+    points = list(field.goals.values())[goal]
+    return np.array([field.pathfinder.geodesic_distance(start, point) for point in points]), points
+
+
+def expected_starts(
+    field: GoalField, positions: np.ndarray, leaves: Sequence[Sequence[int]], bounds: Bounds
+) -> list[int] | str:
+    """The rules one after the other, for all starts."""
+    away = np.array([[distances(field, at, k)[0].min() for k in range(len(field.goals))] for at in positions])
+    goals, stops = [leaf[-1] for leaf in leaves], [stop for leaf in leaves for stop in leaf]
+    left = np.flatnonzero(
+        (away[:, stops] > bounds.near).all(axis=1)
+        & ((away[:, goals] >= bounds.low) & (away[:, goals] <= bounds.high)).all(axis=1)
+    ).tolist()
+    if not left:
+        return "no_start_in_range"
+
+    def is_detour(start: int, leaf: Sequence[int]) -> bool:
+        route = expected_route(field, positions[start], leaf)
+        return len(leaf) > 1 and (route is None or route.length > bounds.factor * away[start, leaf[-1]] + bounds.slack)
+
+    if bounds.factor < np.inf:
+        left = [start for start in left if not any(is_detour(start, leaf) for leaf in leaves)]
+    if not left:
+        return "detour"
+    left = [
+        start
+        for start in left
+        if (away[start, goals] <= bounds.most).all()
+        and all(away[start, leaf[-1]] >= bounds.least for leaf in leaves if len(leaf) == 1)
+    ]
+    return left or "route_missed"
+
+
+def test_possible_starts_and_unmet_rules_are_those_of_single_queries(floor, field, positions, monkeypatch) -> None:
+    monkeypatch.setattr(module, "WAYS", 4)  # so that the room for ways is doubled many times
+    monkeypatch.setattr(module, "CORNERS", 300)
+    starts, rng, seen = Starts(floor, field, positions, SOLID), np.random.default_rng(6), Counter[str]()
+    for number in range(120):
+        drawn = rng.permutation(len(field.goals) if number % 3 else len(field.goals) - 1).tolist()
+        leaves = [drawn[:1], drawn[1:3], drawn[3 : rng.integers(4, 6)]][: rng.integers(1, 4)]
+        bounds = Bounds(
+            near=rng.choice([0.3, 1.5, 3.0]),
+            low=rng.choice([0.5, 2.0]),
+            high=rng.choice([4.0, 7.0, 12.0]),
+            factor=rng.choice([1.0, 1.5, np.inf]),
+            slack=rng.choice([0.0, 1.0]),
+            least=rng.choice([-np.inf, 3.0]),
+            most=rng.choice([np.inf, 4.0]),
+        )
+        expected = expected_starts(field, positions, leaves, bounds)
+        found = starts.possible(Leaves(leaves), bounds)
+        seen[expected if isinstance(expected, str) else "possible"] += 1
+        assert (found if isinstance(found, str) else found.tolist()) == expected
+    assert set(seen) == {"possible", "no_start_in_range", "detour", "route_missed"}
