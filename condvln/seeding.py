@@ -64,17 +64,17 @@ class Draws:
     def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], T]) -> T:
         """Return what `kernel` returns, which draws as this class does, from a stream (see
         ``condvln.instructions.kernels.stream``). The kernel is called again with a longer stream as long as it asks for
-        more uniforms than there are.
+        more uniforms than there are. It reads on where it says so, by default from where it began.
         """
         self._unread += len(self._few)
         self._few = []
         if not self._unread:
             self._longer()
         while True:
-            left = np.array([self._unread, 0])
+            left = np.array([self._unread, 0, self._unread])
             found = kernel(self._stream, left)
+            self._unread = int(left[2 if left[1] else 0])
             if not left[1]:
-                self._unread = int(left[0])
                 self._next = min(self._next, MOST_AHEAD)
                 return found
             self._longer()

@@ -15,7 +15,7 @@ __all__ = ["KERNEL_MODULES", "compile_kernels"]
 
 KERNEL_MODULES: Final = {
     "navmesh builder": "condvln.navigation.recast.builder",
-    "programs": "condvln.instructions.kernels.programs",
+    "candidates": "condvln.instructions.kernels.candidates",
     "follower": "condvln.navigation.follower",
     "paths": "condvln.navigation.pathfinder",
     "cameras": "condvln.sensors.renderer",

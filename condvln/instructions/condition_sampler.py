@@ -76,7 +76,7 @@ class ConditionSampler:
     def conditions(
         self, drawn: Iterable[Sequence[int]], truths: Iterable[bool], names: Sequence[RoomRef]
     ) -> tuple[Condition, ...]:
-        """Return the conditions that `draw_program` drew.
+        """Return the conditions that `draw_candidates` drew.
 
         drawn : of each condition, which of the rooms that can be asked about, its pool and its place
         names : of the rooms of the program

@@ -88,6 +88,7 @@ class NumberedNames:
         room_labels = [name.anchor_label for name in names]
         statements.add_labels([*labels, *(label for own in anchors for label in own), *filter(None, room_labels)])
         groups = [_group(ref) for ref in self.refs]
+        known: dict[int, int] = {}
         self.tables = NameTables(
             room_first=np.cumsum([0, *map(len, self._rooms.values())], dtype=np.int64),
             room_anchor=np.array([statements.label(label) for label in room_labels], np.int64),
@@ -100,6 +101,7 @@ class NumberedNames:
                 [[*map(statements.label, own), *[NOTHING] * MOST_ANCHORS][:MOST_ANCHORS] for own in anchors], np.int64
             ).reshape(-1, MOST_ANCHORS),
             bearing=np.array([ref.is_bearing for ref in self.refs], bool),
+            same=np.array([known.setdefault(id(ref), k) for k, ref in enumerate(self.refs)], np.int64),
             label=np.array([statements.label(label) for label in labels], np.int64),
             statement_room=np.array([statements.room(room_id) for room_id in self._rooms], np.int64),
             asked=np.array([room_id in asked for room_id in self._rooms], bool),

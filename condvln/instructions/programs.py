@@ -5,14 +5,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_args
 
+import numpy as np
 import orjson
+from numpy.typing import NDArray
 
 from schemas.episode import Composition
-from schemas.program import Branch, Condition, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import SHAPES, Branch, Category, Condition, ObjectRef, Program, Qualifier, RoomRef
 
 __all__ = [
+    "COMPOSITIONS",
     "ID_LENGTH",
     "ProgramParts",
     "branch_documents",
@@ -23,9 +26,13 @@ __all__ = [
     "oracle_linear",
     "program_document",
     "program_key",
+    "side_masks",
 ]
 
 T = TypeVar("T")
+
+COMPOSITIONS: Final = get_args(Composition)
+"""The composition classes, by number."""
 
 ID_LENGTH = 20
 """Hexadecimal digits kept of a SHA-256: 80 bits, so that a million instructions collide with probability 4e-13."""
@@ -170,6 +177,17 @@ def _sides(branches: tuple[Branch, ...]) -> tuple[tuple[int, tuple[int, ...], tu
     """Return for each branch its condition and the leaves below THEN and below ELSE."""
     below = [tuple(_leaves_below(branches, to) for to in (one.then, one.otherwise)) for one in branches]
     return tuple((one.condition, then, otherwise) for one, (then, otherwise) in zip(branches, below, strict=True))
+
+
+@cache
+def side_masks(category: Category) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the condition of each of the b branches of a category, (b,), and a mask (b, 2, leaves) of the leaves below
+    THEN and below ELSE.
+    """
+    shape = SHAPES[category]
+    sides = _sides(shape.branches)
+    below = [[[leaf in side for leaf in range(shape.leaves)] for side in two] for _, *two in sides]
+    return np.array([condition for condition, *_ in sides]), np.array(below)
 
 
 def oracle_linear(program: Program) -> tuple[ObjectRef, ...]:

@@ -9,29 +9,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import accumulate
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from condvln.instructions.borders import NO_BORDER, borders
+from condvln.instructions.cell_drawing import CellDrawing, DrawnCandidate, Seen
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
 from condvln.instructions.counterfactuals import Group, counterfactual_group
-from condvln.instructions.degeneracy import idle_conditions, is_circular, outcomes
-from condvln.instructions.kernels.conditions import RULES
-from condvln.instructions.kernels.programs import REASONS, DrawnProgram, WantedProgram, draw_program, drawn_program
+from condvln.instructions.degeneracy import is_circular, outcomes
+from condvln.instructions.kernels.candidates import WantedCell
 from condvln.instructions.name_tables import NumberedNames
 from condvln.instructions.predicates import sayable
 from condvln.instructions.priors import PriorBits
-from condvln.instructions.programs import composition, instruction_id
+from condvln.instructions.programs import COMPOSITIONS, instruction_id, side_masks
 from condvln.instructions.referents import Facts, Referents, object_refs, room_refs
 from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
-from condvln.instructions.stop_sampler import StopSampler
+from condvln.instructions.stop_sampler import ROOM_SPANS, StopSampler
 from condvln.instructions.stops import Stops, Target, nameable, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
@@ -51,21 +49,6 @@ impossible.
 
 VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Shape:
-    """The requested form of a candidate: its composition (None if rooms allow any) and the number of moves of each
-    leaf.
-
-    bearings : the candidate may have egocentric statements
-    gold : index of the leaf to which the truths of the candidate's conditions lead
-    """
-
-    composition: Composition | None
-    moves: tuple[int, ...]
-    bearings: bool
-    gold: int
 
 
 class ProgramSampler:
@@ -187,13 +170,18 @@ class ProgramSampler:
         """Yield up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, with their
         cells.
         """
-        seen: set[tuple[object, ...]] = set()
-        used: Counter[str] = Counter()
-        for cell in self.wanted.cells_of(category):
-            for program in self._drawn(cell, seen, used):
+        cells = self.wanted.cells_of(category)
+        seen = self._seen(category, sum(map(self.sampling.candidates, cells)))
+        for cell in cells:
+            for program in self._drawn(cell, seen):
                 yield cell, program
 
-    def _drawn(self, cell: InstructionCell, seen: set[tuple[object, ...]], used: Counter[str]) -> Iterator[Program]:
+    def _seen(self, category: Category, most: int) -> Seen:
+        """Return that nothing is seen yet of at most so many candidates of a category."""
+        shape = SHAPES[category]
+        return Seen(most, shape.leaves, len(shape.branches), len(self.stop_sampler.labels))
+
+    def _drawn(self, cell: InstructionCell, seen: Seen) -> Iterator[Program]:
         category, wanted = cell.category, self.sampling.candidates(cell)
         reasons = self._reasons.setdefault(cell, Counter())
         if wanted and not self.condition_sampler.rooms:
@@ -201,76 +189,67 @@ class ProgramSampler:
             return
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
-        n_leaves, cap = SHAPES[category].leaves, self._most_goals(category)
-        if wanted and not self.stop_sampler.fits(n_leaves):
+        if wanted and not self.stop_sampler.fits(SHAPES[category].leaves):
             reasons["no_targets"] += 1
             return
-        golds: list[int] = []
-        found = failed = 0
-        for _ in range(wanted * TRIES_PER_CANDIDATE):
-            if found >= wanted or failed >= VAIN_TRIES:
-                return
-            failed += 1
-            # Each leaf is gold as often as the others: the pool takes no more of one than of another.
-            golds = golds or draws.sample(range(n_leaves), n_leaves)
-            # A shape that is hard to draw is not replaced by an easy one; it is tried until it succeeds.
-            shape = self._shape(cell, draws, golds.pop(), self.sampling.drawn_move_shares(category))
-            for program in self._tries(reasons, category, shape, used, cap, draws):
+        if not wanted:
+            return
+        kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category))
+        drawing = self._drawing(category, kind, wanted, draws, seen)
+        # Only the number of words is decided here, so that candidates of other cells are drawn all at once.
+        step = wanted if cell.words is None else 1
+        while found := drawing.draw(step, reasons):
+            for one in found:
+                program = self._program(category, one)
                 try:
-                    key = _unseen(program, seen)
                     self._worded(cell, program)
                 except GivenUp as given_up:
                     reasons[given_up.reason] += 1
-                    continue
-                seen.add(key)
-                found, failed = found + 1, 0
-                used.update(leaf.goal.label for leaf in program.leaves)
-                yield program
-                break
+                    drawing.refuse()
+                else:
+                    yield program
 
-    def _tries(
-        self,
-        rejected: Counter[str],
-        category: Category,
-        shape: _Shape,
-        used: Counter[str],
-        cap: float,
-        draws: Draws,
-    ) -> Iterator[Program]:
-        """Yield programs for a candidate, again and again until there were as many draws as a candidate may take. Draws
-        that fail, and conditions that violate a rule, are added to `rejected`.
+    def _drawing(self, category: Category, wanted: WantedCell, most: int, draws: Draws, seen: Seen) -> CellDrawing:
+        """Return a drawing of at most `most` candidates of a cell."""
+        sampler = self._sampler_of(category)
+        names, shapes = self._numbered_names(sampler), most * TRIES_PER_CANDIDATE
+        return CellDrawing(wanted, most, shapes, draws, seen, self.stop_sampler, names, sampler)
+
+    def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float]) -> WantedCell:
+        """Return what is wanted of the candidates of a cell.
+
+        moves : shares of leaves with 1, 2, … moves, unless the cell says their number
         """
-        left = self.sampling.draws_per_candidate
-        stops = self.stop_sampler.wanted(shape.composition, shape.moves, used, cap)
-        if isinstance(stops, str):
-            rejected[stops] += left
-            return
-        sampler, truths = self._sampler_of(category), _leading_to(category, shape.gold)
-        names = self._numbered_names(sampler)
-        wanted = WantedProgram(
-            stops, self.sampling.bearings, shape.bearings, np.array(truths, bool), self.sampling.attempts
+        category, composition = cell.category, cell.composition
+        names, sums = self._compositions(category) if composition is None else ((composition,), ())
+        truths = [_leading_to(category, gold) for gold in range(SHAPES[category].leaves)]
+        roomy, roomy_sums, roomy_sizes = self.stop_sampler.roomy_tables(SHAPES[category].leaves)
+        asked, below = side_masks(category)
+        padded = np.zeros((len(truths), max(map(len, truths)), len(asked)), bool)
+        for gold, rows in enumerate(truths):
+            padded[gold, : len(rows)] = rows
+        return WantedCell(
+            compositions=np.array([COMPOSITIONS.index(name) for name in names], np.int64),
+            composition_sums=np.array(sums, np.float64),
+            spans=ROOM_SPANS,
+            kinds=self.stop_sampler.kinds,
+            roomy=roomy,
+            roomy_sums=roomy_sums,
+            roomy_sizes=roomy_sizes,
+            move_sums=np.array(tuple(accumulate(moves)), np.float64),
+            moves=cell.moves or 0,
+            truths=padded,
+            truth_sizes=np.array([len(rows) for rows in truths], np.int64),
+            asked=asked,
+            below=below,
+            cap=self._most_goals(category),
+            draws=self.sampling.draws_per_candidate,
+            vain=VAIN_TRIES,
+            bearings=self.sampling.bearings,
+            # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
+            egocentric=cell.observability != "O0f",
+            attempts=self.sampling.attempts,
         )
-
-        def draw(stream: NDArray[np.float64], unread: NDArray[np.int64]) -> tuple[int, DrawnProgram]:
-            found = drawn_program(len(shape.moves), stops.most, len(truths[0]))
-            numbered, targets = sampler.numbered.tables, self.stop_sampler
-            return draw_program(
-                left, wanted, targets.room_of, targets.tables, names.tables, numbered, stream, unread, found
-            ), found
-
-        while left > 0:
-            failed, found = draws.compiled(draw)
-            for reasons, counts in ((REASONS, found.failures), (RULES, found.clashes)):
-                for reason, count in zip(reasons, counts.tolist(), strict=True):
-                    if count:
-                        rejected[reason] += count
-            if failed == left:
-                return
-            left -= failed + 1
-            try:
-                yield self._program(category, shape, found, sampler, names, truths[int(found.truths[0])])
-            except GivenUp as given_up:
-                rejected[given_up.reason] += 1
 
     def _worded(self, cell: InstructionCell, program: Program) -> None:
         """Raise GivenUp if the text of `program` has not the number of words that the cell asks for."""
@@ -292,47 +271,36 @@ class ProgramSampler:
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
         order, reasons = draws.sample(cells, len(cells)), self._reasons.setdefault(None, Counter())
         seen: set[tuple[object, ...]] = set()
-        unused: Counter[str] = Counter()
+        drawings: dict[InstructionCell, CellDrawing] = {}
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
-            # Placing takes the first groups that fit and can't choose among them by their moves, and it hardly rejects
-            # more of those with long routes. So the shares that are wanted are drawn.
-            shares = self.sampling.move_shares(cell.category)
-            shape = self._shape(cell, draws, draws.index(SHAPES[cell.category].leaves), shares)
-            for program in self._tries(reasons, cell.category, shape, unused, self._most_goals(cell.category), draws):
+            if cell not in drawings:
+                # Placing takes the first groups that fit and can't choose among them by their moves, and it hardly
+                # rejects more of those with long routes. So the shares that are wanted are drawn.
+                kind = self._wanted_cell(cell, self.sampling.move_shares(cell.category))
+                drawings[cell] = self._drawing(cell.category, kind, 1, draws, self._seen(cell.category, 0))
+            drawing = drawings[cell]
+            drawing.begin(draws.index(SHAPES[cell.category].leaves))
+            while found := drawing.draw(1, reasons):
+                program = self._program(cell.category, found[0])
                 try:
                     _unseen(program, seen)
                     group = self._group(program, draws)
                 except GivenUp as given_up:
                     reasons[given_up.reason] += 1
-                    continue
-                keys = set(map(_key, group))
-                if not seen & keys:
-                    seen.update(keys)
-                    yield group
-                    break
+                else:
+                    keys = set(map(_key, group))
+                    if not seen & keys:
+                        seen.update(keys)
+                        yield group
+                        break
+                drawing.refuse()
 
     def _group(self, program: Program, draws: Draws) -> Group:
         group = counterfactual_group(program, self._sampler_of(program.category), draws, self.words)
         if group is None:
             raise GivenUp("no_twin")
         return group
-
-    def _shape(self, cell: InstructionCell, draws: Draws, gold: int, moves: Sequence[float]) -> _Shape:
-        """Return a drawn shape for `cell`. `moves` are the shares of leaves with 1, 2, … moves, unless the cell says
-        their number.
-        """
-        category, wanted = cell.category, cell.composition
-        if wanted is None:
-            names, sums = self._compositions(category)
-            wanted = names[draws.cumulative(sums)] if names else None
-        n_leaves = SHAPES[category].leaves
-        # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
-        bearings = cell.observability != "O0f"
-        if cell.moves is not None:
-            return _Shape(wanted, (cell.moves,) * n_leaves, bearings, gold)
-        shares = tuple(accumulate(moves))
-        return _Shape(wanted, tuple(1 + draws.cumulative(shares) for _ in range(n_leaves)), bearings, gold)
 
     def _compositions(self, category: Category) -> tuple[tuple[Composition, ...], tuple[float, ...]]:
         """Return the compositions that the rooms allow for a category, and their running weights; none if all weights
@@ -353,40 +321,20 @@ class ProgramSampler:
             self._known_compositions[category] = found
         return self._known_compositions[category]
 
-    def _program(
-        self,
-        category: Category,
-        shape: _Shape,
-        found: DrawnProgram,
-        sampler: ConditionSampler,
-        known: NumberedNames,
-        truths: Sequence[bool],
-    ) -> Program:
-        """Return the program that was drawn; raise GivenUp if it has not the composition of the shape."""
-        rooms = found.rooms[1 : 1 + found.rooms[0]].tolist()
+    def _program(self, category: Category, drawn: DrawnCandidate) -> Program:
+        """Return the program that was drawn."""
+        sampler = self._sampler_of(category)
+        refs = self._numbered_names(sampler).refs
         names = [
-            self._names[self.stop_sampler.rooms[room]][k]
-            for room, k in zip(rooms, found.room_names.tolist()[: len(rooms)], strict=True)
+            self._names[self.stop_sampler.rooms[room]][k] for room, k in zip(drawn.rooms, drawn.room_names, strict=True)
         ]
         # What the kernel draws needs no check of its types.
-        leaves = tuple(
-            [
-                Leaf.model_construct(moves=tuple([known.refs[k] for k in refs[:count]]))
-                for refs, count in zip(found.names.tolist(), shape.moves, strict=True)
-            ]
-        )
-        goals = [leaf.moves[-1].object_id for leaf in leaves]
-        if len(set(goals)) < len(goals) and idle_conditions(category, goals):
-            raise GivenUp("idle_condition")
-        program = Program.model_construct(
+        return Program.model_construct(
             category=category,
-            conditions=sampler.conditions(found.conditions.tolist(), truths, names),
+            conditions=sampler.conditions(drawn.conditions, _leading_to(category, drawn.gold)[drawn.truths], names),
             branches=SHAPES[category].branches,
-            leaves=leaves,
+            leaves=tuple([Leaf.model_construct(moves=tuple([refs[k] for k in stops])) for stops in drawn.stops]),
         )
-        if composition(program) != shape.composition:
-            raise GivenUp("composition_missed")
-        return program
 
     def _is_plain(self, room_id: str) -> bool:
         """Return whether a room's label alone names it."""

@@ -10,24 +10,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.kernels.stops import ByLabel, Questions, TargetTables, WantedStops, targets_fit
+from condvln.instructions.kernels.stops import MOST_MOVES, ByLabel, Questions, TargetTables, targets_fit
 from condvln.instructions.stops import Targets
 from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
-from schemas.episode import Composition
 
-__all__ = ["StopSampler"]
+__all__ = ["ROOM_SPANS", "StopSampler"]
 
 I64 = NDArray[np.int64]
 
-_ROOMS_OF: dict[Composition, tuple[int, int]] = {"C0": (1, 1), "C1": (2, 2), "C2": (3, MOST_ROOMS)}
-"""Least and most rooms of a program, by its composition."""
+ROOM_SPANS: Final = np.array([[1, 1], [2, 2], [3, MOST_ROOMS]])
+"""Least and most rooms of a program, by the number of its composition."""
 
 ANSWERS_KEPT: Final = 2**15
 """Number of answers kept to the question whether targets fit; a power of two. A scene asks some thousands."""
 
 
 class StopSampler:
-    """The rooms and stops of programs of one scene, as `draw_program` draws them.
+    """The rooms and stops of programs of one scene, as `draw_candidates` draws them.
 
     The rooms of a program have different types: a listener would confuse "the bedroom with the desk" and "the bedroom
     with the plant", and a text with only one bedroom needs no distinguishing object. Rooms that are named by their
@@ -62,8 +61,8 @@ class StopSampler:
         kinds = {kind: k for k, kind in enumerate(dict.fromkeys(types.values()))}
         weights = {target.label: target.weight for target in found.targets}
         self.labels, self.kinds = tuple(weights), len(kinds)
-        self._label_numbers = {label: k for k, label in enumerate(weights)}
-        label = np.array([self._label_numbers[target.label] for target in found.targets], np.int64)
+        label_numbers = {label: k for k, label in enumerate(weights)}
+        label = np.array([label_numbers[target.label] for target in found.targets], np.int64)
         self.room_of = np.array([numbers[target.room_id] for target in found.targets], np.int64)
         self._plain = np.array([room in plain for room in types], bool)
         ends = np.cumsum(np.bincount(label, minlength=len(weights)), dtype=np.int64)
@@ -116,27 +115,16 @@ class StopSampler:
         """Return whether a room about which conditions can be asked has targets for so many leaves."""
         return len(self._roomy(leaves, 0)[0]) > 0
 
-    def wanted(
-        self, composition: Composition | None, moves: Sequence[int], used: Mapping[str, int], cap: float
-    ) -> WantedStops | str:
-        """Return what is drawn for a program, or the reason why every draw of it fails.
-
-        Parameters
-        ----------
-        composition : None if no room can be asked about
-        moves : number of moves of each leaf
-        used : how often each label is a goal so far
-        cap : a label is a goal at most so often
+    def roomy_tables(self, leaves: int) -> tuple[I64, NDArray[np.float64], I64]:
+        """Return the rooms that can be asked about and have targets for `leaves` goals and up to 0, 1, … more stops of
+        a leaf, a row each, their running weights, and how many rooms each row has.
         """
-        n = len(moves)
-        if composition is None or self.kinds < _ROOMS_OF[composition][0]:
-            return "no_targets"
-        least, most = _ROOMS_OF[composition]
-        roomy, sums = self._roomy(n, max(moves) - 1)
-        if composition == "C0" and not len(roomy):
-            return "no_waypoint" if self.roomy(n) else "no_targets"
-        of_label = np.array([used.get(label, 0) for label in self.labels], np.int64)
-        return WantedStops(np.array(moves, np.int64), least, most, roomy, sums, of_label, cap)
+        rows = [self._roomy(leaves, waypoints) for waypoints in range(MOST_MOVES)]
+        rooms = np.zeros((MOST_MOVES, len(self.rooms)), np.int64)
+        sums = np.zeros((MOST_MOVES, len(self.rooms)), np.float64)
+        for k, (numbers, weights) in enumerate(rows):
+            rooms[k, : len(numbers)], sums[k, : len(numbers)] = numbers, weights
+        return rooms, sums, np.array([len(numbers) for numbers, _ in rows], np.int64)
 
     def _roomy(self, leaves: int, waypoints: int) -> tuple[I64, NDArray[np.float64]]:
         """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for

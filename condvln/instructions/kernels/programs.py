@@ -7,30 +7,28 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined, register_warm_up
-from condvln.instructions.kernels.conditions import NOTHING, RULES, Given, StatementTables, draw_conditions
-from condvln.instructions.kernels.stops import (
-    FAILURES,
-    MOST_MOVES,
-    ByLabel,
-    Questions,
-    TargetTables,
-    WantedStops,
-    draw_stops,
-    targets_fit,
-)
+from condvln.compiled import compiled, inlined
+from condvln.instructions.kernels.conditions import NOTHING, Given, StatementTables, draw_conditions
+from condvln.instructions.kernels.stops import FAILURES, MOST_MOVES, TargetTables, WantedStops, draw_stops
 from condvln.instructions.kernels.stream import cumulative, index
 from condvln.instructions.referents import ALTERNATIVES
-from condvln.uncounted import uncounted
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
 
-__all__ = ["REASONS", "DrawnProgram", "NameTables", "WantedProgram", "draw_program", "drawn_program"]
+__all__ = [
+    "COMPOSITION_MISSED",
+    "DUPLICATE",
+    "REASONS",
+    "DrawnProgram",
+    "NameTables",
+    "WantedProgram",
+    "draw_program",
+]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
-REASONS: Final = (*FAILURES, "circular", "two_things", "no_condition")
+REASONS: Final = (*FAILURES, "circular", "two_things", "no_condition", "composition_missed", "duplicate")
 """Why a draw failed, by number."""
 
 FITS: Final = -1
@@ -39,6 +37,8 @@ FITS: Final = -1
 CIRCULAR: Final = len(FAILURES)
 TWO_THINGS: Final = CIRCULAR + 1
 NO_CONDITION: Final = CIRCULAR + 2
+COMPOSITION_MISSED: Final = CIRCULAR + 3
+DUPLICATE: Final = CIRCULAR + 4
 
 MOST_ANCHORS: Final = 2
 """Most anchors of a name."""
@@ -56,6 +56,7 @@ class NameTables(NamedTuple):
     group (m,) : each name's group of predicates
     anchors (m, 2) : labels of each name's anchors, or NOTHING
     bearing (m,) : the name is egocentric
+    same (m,) : the first name that is the same object of Python
     label (t,) : label of each target
     statement_room (r,) : each room's number in the statements
     asked (r,), start (r,) : conditions can be asked about the room; egocentric ones, if the start is there
@@ -70,6 +71,7 @@ class NameTables(NamedTuple):
     group: Longs
     anchors: Longs
     bearing: Bools
+    same: Longs
     label: Longs
     statement_room: Longs
     asked: Bools
@@ -95,7 +97,7 @@ class WantedProgram(NamedTuple):
 class DrawnProgram(NamedTuple):
     """What `draw_program` writes to.
 
-    failures (7,), clashes (7,) : to which the failed draws are added by their reason, and the violations of each rule
+    failures (9,), clashes (7,) : to which the failed draws are added by their reason, and the violations of each rule
     rooms (1 + most,) : number of rooms, and the rooms; room_names (most,) : which of its names each room has
     stops (n, 3) : targets; names (n, 3) : their names
     truths (1,) : row of the truths; conditions (c, 3) : which of the rooms asked about, the pool and the place of each
@@ -109,20 +111,6 @@ class DrawnProgram(NamedTuple):
     names: Longs
     truths: Longs
     conditions: Longs
-
-
-def drawn_program(leaves: int, most: int, conditions: int) -> DrawnProgram:
-    """Return what a program with a number of leaves, at most so many rooms and a number of conditions is written to."""
-    return DrawnProgram(
-        failures=np.zeros(len(REASONS), np.int64),
-        clashes=np.zeros(len(RULES), np.int64),
-        rooms=np.zeros(1 + most, np.int64),
-        room_names=np.zeros(most, np.int64),
-        stops=np.zeros((leaves, MOST_MOVES), np.int64),
-        names=np.zeros((leaves, MOST_MOVES), np.int64),
-        truths=np.zeros(1, np.int64),
-        conditions=np.zeros((conditions, 3), np.int64),
-    )
 
 
 class _Said(NamedTuple):
@@ -341,7 +329,7 @@ def _finish(
     return FITS
 
 
-@compiled
+@inlined
 def draw_program(
     tries: int,
     wanted: WantedProgram,
@@ -357,9 +345,6 @@ def draw_program(
 
     room_of : (t,), the room of each target
     """
-    room_of, targets, names = uncounted(room_of), uncounted(targets), uncounted(names)
-    wanted, statements, found = uncounted(wanted), uncounted(statements), uncounted(found)
-    stream, left = uncounted(stream), uncounted(left)
     failed = 0
     while failed < tries and not left[1]:
         failed += draw_stops(
@@ -372,60 +357,3 @@ def draw_program(
             found.failures[reason] += 1
             failed += 1
     return tries
-
-
-def _warm_up() -> None:
-    one, numbers, mask = np.ones(1), np.zeros(1, np.int64), np.ones((1, 1), bool)
-    span, none = np.array([[0, 1]]), np.zeros((0, 2), np.int64)
-    digests = np.zeros((1, 4), np.int64), np.zeros((1, 2), np.int64), np.zeros(1, bool)
-    places = (numbers, one, numbers, numbers, mask[0])
-    questions, by_label = Questions(mask, numbers, *digests), ByLabel(mask[0], numbers, span)
-    targets = TargetTables(questions, by_label, mask, numbers, one, mask, mask, *places)
-    targets_fit(mask[0], mask[0], 1, 0, questions)
-    statements = StatementTables(
-        overlap=np.zeros((1, 1), bool),
-        sums=one,
-        labels=numbers,
-        anchors=np.full((1, 2), NOTHING),
-        spans=np.array([[[0, 1], [0, 1]]]),
-        presence=np.ones(1, bool),
-        bearing=np.zeros(1, bool),
-        pool_of_presence=numbers,
-        share=one,
-        groups=np.zeros((1, 2, 2), np.int64),
-        group_sums=one,
-        forms=none,
-        form_sums=one,
-        pool_of_form=numbers,
-    )
-    ends = np.array([0, 1])
-    names = NameTables(
-        room_first=ends,
-        room_anchor=np.full(1, NOTHING),
-        key_first=numbers,
-        first=np.array([0, 1, 1]),
-        sums=one,
-        weight=one,
-        group=numbers,
-        anchors=np.full((1, MOST_ANCHORS), NOTHING),
-        bearing=np.zeros(1, bool),
-        label=numbers,
-        statement_room=numbers,
-        asked=np.ones(1, bool),
-        start=np.zeros(1, bool),
-    )
-    stops = WantedStops(np.ones(1, np.int64), 1, 1, numbers, one, numbers, 1.0)
-    draw_program(
-        1,
-        WantedProgram(stops, 0, False, np.ones((1, 1), bool), 1),
-        numbers,
-        targets,
-        names,
-        statements,
-        np.zeros(64),
-        np.array([64, 0]),
-        drawn_program(1, 1, 1),
-    )
-
-
-register_warm_up("programs", _warm_up)

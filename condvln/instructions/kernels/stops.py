@@ -11,7 +11,18 @@ from condvln.compiled import compiled, constant, inlined
 from condvln.instructions.kernels.stream import cumulative, index
 from condvln.uncounted import uncounted
 
-__all__ = ["FAILURES", "MOST_MOVES", "ByLabel", "Questions", "TargetTables", "WantedStops", "draw_stops", "targets_fit"]
+__all__ = [
+    "FAILURES",
+    "MOST_MOVES",
+    "NO_TARGETS",
+    "NO_WAYPOINT",
+    "ByLabel",
+    "Questions",
+    "TargetTables",
+    "WantedStops",
+    "draw_stops",
+    "targets_fit",
+]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]

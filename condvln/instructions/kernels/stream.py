@@ -1,8 +1,8 @@
 """Random choices from a stream of uniforms, exactly as ``condvln.seeding.Draws`` makes them.
 
-A stream is an array of uniforms that is read from its end, and `left`: how many of them are still unread, and whether
-more were asked for than there are. A kernel whose stream ended must be called again with a longer one, since from then
-on it read zeros.
+A stream is an array of uniforms that is read from its end, and `left`: how many of them are still unread, whether more
+were asked for than there are, and how many were unread when the last piece of work ended. A kernel whose stream ended
+must be called again with a longer one, since from then on it read zeros; it does its last piece of work again.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import product
@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.stats import binomtest, chisquare
 
@@ -83,10 +84,74 @@ def test_numbers_of_moves_are_drawn_with_their_shares(sampled) -> None:
     for *_, sampler, _ in sampled:
         for category in CATEGORIES:
             (cell,) = sampler.wanted.cells_of(category)
-            draws, shares = Draws(np.random.default_rng(1)), sampler.sampling.drawn_move_shares(category)
-            shapes = [sampler._shape(cell, draws, 0, shares).moves for _ in range(2000)]
-            assert {len(moves) for moves in shapes} == {SHAPES[category].leaves}
+            shares, leaves = sampler.sampling.drawn_move_shares(category), SHAPES[category].leaves
+            wanted, seen = sampler._wanted_cell(cell, shares)._replace(draws=1), sampler._seen(category, 0)
+            drawing = sampler._drawing(category, wanted, 1, Draws(np.random.default_rng(1)), seen)
+            shapes = []
+            for _ in range(2000):
+                drawing.begin(0)
+                drawing.draw(1, Counter())
+                shapes.append(drawing.moves)
+            assert {len(moves) for moves in shapes} == {leaves}
             fits_shares(Counter(n for moves in shapes for n in moves), shares)
+
+
+class Trickle(Draws):
+    """The same stream as `Draws`, of which few more uniforms are there each time that it ends."""
+
+    def __init__(self, stream: NDArray[np.float64], step: int) -> None:
+        super().__init__(np.random.default_rng(0))
+        self._all, self._shown, self._step = stream, len(stream), step
+
+    def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], Any]) -> Any:
+        """See `Draws`."""
+        end = self._shown  # of what is unread
+        while True:
+            self._shown = max(0, self._shown - self._step)
+            left = np.array([end - self._shown, 0, end - self._shown])
+            kernel(self._all[self._shown : end].copy(), left)
+            end = self._shown + int(left[2 if left[1] else 0])
+            if not left[1]:
+                self._shown = end
+                return
+
+
+@pytest.mark.parametrize("step", [1, 7, 300])
+def test_a_stream_that_ends_changes_no_candidate(sampled, step: int) -> None:
+    sampler, stream = sampled[0][2], np.random.default_rng(5).random(60_000)
+    for category in CATEGORIES:
+        (cell,) = sampler.wanted.cells_of(category)
+        wanted = sampler._wanted_cell(cell, sampler.sampling.drawn_move_shares(category))
+        found = []
+        for draws in (Trickle(stream, len(stream)), Trickle(stream, step)):
+            seen, rejected = sampler._seen(category, 12), Counter[str]()
+            drawing = sampler._drawing(category, wanted, 12, draws, seen)
+            found.append((drawing.draw(5, rejected), drawing.draw(12, rejected), rejected, seen.used.tolist()))
+        assert found[0] == found[1]
+        assert [len(part) for part in found[0][:2]] == [5, 7]
+
+
+def test_a_refused_candidate_is_as_if_it_had_not_been_drawn(sampled) -> None:
+    """Its shape is tried again; what follows a last try is a new shape."""
+    sampler = sampled[0][2]
+    (cell,) = sampler.wanted.cells_of("nested")
+    wanted = sampler._wanted_cell(cell, sampler.sampling.drawn_move_shares("nested"))
+    for draws in (1, 3, 50):
+        seen, rejected = sampler._seen("nested", 6), Counter[str]()
+        stream = Draws(np.random.default_rng(2))
+        drawing = sampler._drawing("nested", wanted._replace(draws=draws), 6, stream, seen)
+        kept = drawing.draw(3, rejected)
+        used, keys = seen.used.copy(), seen.keys[:3].copy()
+        tried = 0
+        while len(drawing.draw(1, rejected)) == 1 and tried < 4:
+            moves, tried = drawing.moves, tried + 1
+            drawing.refuse()
+            assert seen.count == len(kept) == 3
+            assert np.array_equal(seen.used, used)
+            assert np.array_equal(seen.keys[:3], keys)
+            if draws == 50 and tried < 4:
+                assert drawing.moves == moves
+        assert seen.count <= 4
 
 
 def test_numbers_of_moves_of_programs_have_these_shares(sampled) -> None:
