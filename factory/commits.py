@@ -1,7 +1,8 @@
 """Committed outputs of stages, and records of stages that failed.
 
-``units/<stage>/<key[:2]>/<key>/<table>.parquet``, further files beside it, and ``unit.json`` last: a key whose
-``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not.
+``units/<stage>/<key[:2]>/<key>/<table>.arrows.zst``, further files beside it, and ``unit.json`` last: a key whose
+``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not. Earlier releases wrote
+``<table>.parquet``, which is still read.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from pydantic import ValidationError
 
 from factory.faults import FaultPlan
 from factory.kept_tables import KeptTables
-from factory.pipeline import Pipeline
-from factory.rows import logical_hash, parquet_bytes, parquet_table
+from factory.rows import logical_hash, parquet_table
 from factory.seal import sealed, unsealed
+from factory.shard import SUFFIX, shard_bytes, shard_table
 from factory.store import Store
 from schemas.errors import CorruptShardError
 from schemas.unit import QuarantineRecord, ShardRecord, TableRecord, UnitCommit
@@ -30,6 +31,9 @@ LISTING = "listing"
 
 REBUILD_VERIFIED: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files."
 """The remedy for every damaged file that can be rebuilt."""
+
+PARQUET: Final = ".parquet"
+"""End of the names of tables that earlier releases committed."""
 
 UNIT_FILE: Final = "unit.json"
 """File name of the commit of a unit's stage. It is written last."""
@@ -112,9 +116,7 @@ class Commits:
                 return f"{folder}/{name}"
         return None
 
-    def save(
-        self, pipeline: Pipeline, commit: UnitCommit, tables: Mapping[str, pa.Table], files: Mapping[str, bytes]
-    ) -> Committed:
+    def save(self, commit: UnitCommit, tables: Mapping[str, pa.Table], files: Mapping[str, bytes]) -> Committed:
         """Write the files of a stage, then its ``unit.json``; return the commit with the files' hashes and sizes.
 
         tables : canonical tables, whose ``rows`` and ``logical_hash`` are in ``commit`` already
@@ -123,10 +125,8 @@ class Commits:
         self._faults.reach("unit-before-data")
         shards: dict[str, TableRecord] = {}
         for name, table in tables.items():
-            spec = pipeline.tables.get(name)
-            keys = spec.sort_keys if spec else ()
-            data = parquet_bytes(table, sort_keys=keys, metadata={f"{pipeline.name}.table": name})
-            self.store.write(f"{folder}/{name}.parquet", data, settle=False)
+            data = shard_bytes(table, commit.tables[name].logical_hash)
+            self.store.write(f"{folder}/{name}{SUFFIX}", data, settle=False)
             self._faults.reach("unit-between-data")
             shards[name] = commit.tables[name].model_copy(
                 update={"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
@@ -144,7 +144,7 @@ class Commits:
 
     def keep(self, commit: UnitCommit, name: str, table: pa.Table) -> None:
         """Keep a table of a commit in memory for the next one who asks for it."""
-        path = f"{self.folder(commit.stage, commit.key)}/{name}.parquet"
+        path = f"{self.folder(commit.stage, commit.key)}/{name}"
         self._kept.put(path, commit.tables[name].logical_hash, table)
 
     def table(self, stage: str, key: str, name: str, rows_hash: str | None = None) -> pa.Table:
@@ -154,10 +154,19 @@ class Commits:
 
         Raises ``CorruptShardError`` when the file is gone, cut, or its rows differ from the hash.
         """
-        path = f"{self.folder(stage, key)}/{name}.parquet"
+        path = f"{self.folder(stage, key)}/{name}"
         kept = None if rows_hash is None else self._kept.take(path, rows_hash)
         if kept is not None:
             return kept
+        shard = f"{path}{SUFFIX}"
+        try:
+            return shard_table(self._verified(shard, None), self._where(shard), rows_hash, REBUILD_VERIFIED)
+        except CorruptShardError as error:
+            if isinstance(error.__cause__, FileNotFoundError) and self.store.exists(f"{path}{PARQUET}"):
+                return self._parquet(f"{path}{PARQUET}", rows_hash)
+            raise
+
+    def _parquet(self, path: str, rows_hash: str | None) -> pa.Table:
         table = parquet_table(self._verified(path, None), self._where(path))
         # A flipped bit inside a page may well decode: only the rows' own hash tells.
         if rows_hash is not None and logical_hash(table)[0] != rows_hash:
@@ -229,4 +238,5 @@ class Commits:
 
 def _files(commit: UnitCommit) -> dict[str, ShardRecord]:
     """Return all files of a commit except ``unit.json``, by name."""
-    return {**{f"{name}.parquet": record for name, record in commit.tables.items()}, **commit.files}
+    ends = {"arrow": SUFFIX, "parquet": PARQUET}
+    return {**{f"{name}{ends[record.encoding]}": record for name, record in commit.tables.items()}, **commit.files}

@@ -310,4 +310,12 @@ def concatenated(tables: Iterator[pa.Table], spec: TableSpec, name: str) -> pa.T
     whole = [*tables]
     if not whole:
         return spec.schema.remove_metadata().empty_table()
-    return _sorted(pa.concat_tables(whole).combine_chunks(), spec.sort_keys, name)
+    # The names of the elements of lists are in the file too: they are those that Parquet gives, whatever they were.
+    joined = pa.concat_tables(whole).cast(_of_parquet(spec.schema))
+    return _sorted(joined.combine_chunks(), spec.sort_keys, name)
+
+
+@lru_cache(maxsize=64)
+def _of_parquet(schema: pa.Schema) -> pa.Schema:
+    """Return the schema with which a table of schema ``schema`` comes back from a Parquet file."""
+    return parquet_table(parquet_bytes(schema.empty_table()), "").schema

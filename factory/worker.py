@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from factory import machine
 from factory.chain import Chain, SharedTables, receipt_of
-from factory.commits import Commits, Committed
+from factory.commits import UNIT_FILE, Commits, Committed
 from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
@@ -36,6 +36,7 @@ from factory.pipeline import plain_name
 from factory.quarantine import Failed, Quarantine, failed_by
 from factory.receipt import Failure, Receipt, Status
 from factory.rows import canonical_table, logical_hash
+from factory.shard import SUFFIX
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit, Work
 from schemas.canonical import digest
@@ -207,7 +208,12 @@ class Worker:
         for name, table in tables.items():
             found, size = logical_hash(table)
             records[name] = TableRecord(
-                sha256=PENDING, bytes=0, logical_hash=found, rows=table.num_rows, logical_bytes=size
+                sha256=PENDING,
+                bytes=0,
+                logical_hash=found,
+                rows=table.num_rows,
+                logical_bytes=size,
+                encoding="arrow",
             )
         commit = UnitCommit(
             unit_id=unit.unit_id,
@@ -233,7 +239,7 @@ class Worker:
             libraries=machine.library_versions(),
             revision=self.context.revision,
         )
-        committed = self.commits.save(self.pipeline, commit, tables, output.files)
+        committed = self.commits.save(commit, tables, output.files)
         if self.context.retrying:
             self.commits.release(stage.name, key.hex)
         return committed, tables
@@ -279,7 +285,7 @@ class Worker:
         for name in output.files:
             if not plain_name(name):
                 raise StageError(f"stage {stage.name!r} wrote a file under {name!r}, which is not a plain file name")
-            if name in ("unit.json", *(f"{table}.parquet" for table in tables)):
+            if name in (UNIT_FILE, *(f"{table}{SUFFIX}" for table in tables)):
                 raise StageError(f"stage {stage.name!r} wrote a file under the reserved name {name!r}")
         return tables
 

@@ -49,6 +49,8 @@ class TableRecord(ShardRecord):
     rows: Annotated[int, Field(ge=0)]
     logical_bytes: Annotated[int, Field(ge=0)]
     """Size of the canonical buffers, bytes. Packing uses it because file sizes depend on the version of the writer."""
+    encoding: Literal["parquet", "arrow"] = "parquet"
+    """How its file is encoded; commits of earlier releases say nothing, and their tables are Parquet."""
 
 
 class UnitCommit(VersionedDocument):

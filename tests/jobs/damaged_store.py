@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from factory.index import Index
 from factory.local_store import LocalStore
+from factory.shard import SUFFIX
 from factory.snapshot import Snapshot, read_ref
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
@@ -83,9 +84,9 @@ def _files(store: Path, name: str) -> dict[str, Path]:
         return store / "units" / stage / key[:2] / key / file
 
     return {
-        "unit table": unit("text", "episodes.parquet"),
+        "unit table": unit("text", f"episodes{SUFFIX}"),
         "unit.json": unit("text", "unit.json"),
-        "built navmesh": unit("scene", "navmeshes.parquet"),
+        "built navmesh": unit("scene", f"navmeshes{SUFFIX}"),
         "snapshot table": snapshot.local_paths("episodes")[0],
         "manifest": store / "snapshots" / ref.snapshot_id / "manifest.json",
         "index": store / Index.path(ref.index),
