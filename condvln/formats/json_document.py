@@ -156,13 +156,15 @@ class JsonNode:
 
     def __getitem__(self, key: str) -> JsonNode:
         """Return a required member of this object."""
-        if key not in self:
+        members = self.object().value
+        if key not in members:
             self.fail(f"the key {key!r} is missing")
-        return JsonNode(self.value[key], self.where, f"{self.place}.{key}" if self.place else key)
+        return JsonNode(members[key], self.where, f"{self.place}.{key}" if self.place else key)
 
     def get(self, key: str) -> JsonNode | None:
         """Return a member of this object; None if it is absent or null."""
-        return self[key] if key in self and self.value[key] is not None else None
+        value = self.object().value.get(key)
+        return None if value is None else JsonNode(value, self.where, f"{self.place}.{key}" if self.place else key)
 
     def items(self) -> Iterator[tuple[str, JsonNode]]:
         """Yield the members of this object, in file order."""
@@ -222,6 +224,9 @@ class JsonNode:
 
     def vector(self, length: int, limit: float = MAX_COORDINATE) -> NDArray[np.float64]:
         """Return this array, which must have exactly `length` finite numbers of absolute value at most `limit`."""
+        own = self.value
+        if type(own) is list and len(own) == length and all(type(v) is float and abs(v) <= limit for v in own):
+            return np.array(own)
         elements = self.elements()
         if len(elements) != length:
             self.fail(f"{length} numbers are expected, not {len(elements)}")

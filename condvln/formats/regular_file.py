@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import stat
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -17,7 +18,7 @@ _KINDS: Final = (
 )
 
 
-def open_regular(path: Path) -> BinaryIO:
+def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading bytes.
 
     Raises
@@ -25,7 +26,7 @@ def open_regular(path: Path) -> BinaryIO:
     OSError : it can't be opened; or it, or the target of a link, is a FIFO, a socket or a device
     """
     refuse_special(path)
-    return path.open("rb")
+    return open(path, "rb")
 
 
 def read_regular(path: Path) -> bytes:
@@ -34,9 +35,13 @@ def read_regular(path: Path) -> bytes:
         return file.read()
 
 
-def refuse_special(path: Path) -> None:
-    """Raise OSError if a path, or the target of a link, is neither a file nor a folder, or does not exist."""
-    mode = path.stat().st_mode
-    for is_kind, kind in _KINDS:
-        if is_kind(mode):
-            raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
+def refuse_special(path: Path | str) -> int:
+    """Return the mode of a path or of the target of a link. Raise OSError if it is neither a file nor a folder, or does
+    not exist.
+    """
+    mode = os.stat(path).st_mode
+    if not stat.S_ISREG(mode):
+        for is_kind, kind in _KINDS:
+            if is_kind(mode):
+                raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
+    return mode

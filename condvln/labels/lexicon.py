@@ -113,6 +113,7 @@ class Vocabulary:
         "_entries",
         "_frames",
         "_label_of_word",
+        "_listed",
         "_may_be",
         "_overlapping",
         "_overlapping_rooms",
@@ -136,6 +137,9 @@ class Vocabulary:
         self._containers = dict(containers or {})
         self._frames = frozenset(frames)
         self._raw = _with_normalised_keys(raw_labels)
+        self._listed: dict[str, dict[str, str]] = defaultdict(dict)
+        for (source, raw), label in self._raw.items():
+            self._listed[source][raw] = label
         self._raw_rooms = _with_normalised_keys(raw_rooms)
         self._may_be = _with_normalised_keys(may_be or {})
         # A word that names exactly one label means that label; a synonym shared by several labels means none of them.
@@ -302,8 +306,7 @@ class Vocabulary:
 
     def raw_labels(self, family: str) -> Mapping[str, str]:
         """Return each raw label listed for `family`'s source with its canonical label ('' means listed as unmapped)."""
-        source = SOURCE_OF_FAMILY.get(family, "")
-        return {raw: label for (of, raw), label in self._raw.items() if of == source}
+        return self._listed.get(SOURCE_OF_FAMILY.get(family, ""), {})
 
     @classmethod
     def load(cls) -> Vocabulary:

@@ -17,6 +17,9 @@ __all__ = ["aabb_of", "box_corners", "corners", "oriented_box", "placement", "ro
 F64 = NDArray[np.float64]
 
 _SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
+_IDENTITY: Final = np.eye(3)
+_SHEAR: Final = 1e-6 + 1e-5 * _IDENTITY
+"""(3, 3) largest difference of a rotation's RᵀR from the identity; where it is larger, the body is sheared."""
 
 
 def placement(
@@ -69,13 +72,14 @@ def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
     """
     box = np.asarray(local, dtype=np.float64)
     linear = transform[:3, :3]
-    scale = np.linalg.norm(linear, axis=0)
+    scale = np.sqrt((linear * linear).sum(axis=0))
     if not (scale > 0).all():
         return None
     rotation = linear / scale
-    if not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-6):
+    if not (np.abs(rotation.T @ rotation - _IDENTITY) <= _SHEAR).all():
         return None
-    if np.linalg.det(rotation) < 0:
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0:
         rotation = rotation * np.array([1.0, 1.0, -1.0])
     centre = transform_points(transform, (box[0] + box[1])[None] / 2)[0]
     return OrientedBox(centre, (box[1] - box[0]) / 2 * scale, rotation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -42,7 +43,14 @@ def asset_frame(up: ArrayLike, front: ArrayLike) -> F64:
     ------
     ValueError : a direction is zero, or the two are not perpendicular
     """
-    own_up, own_front = (np.asarray(v, dtype=np.float64) for v in (up, front))
+    own = (np.asarray(v, dtype=np.float64) for v in (up, front))
+    return _asset_frame(*(direction.tobytes() for direction in own)).copy()
+
+
+@lru_cache(maxsize=64)
+def _asset_frame(up: bytes, front: bytes) -> F64:
+    """Return what `asset_frame` returns for two directions (3,) float64; most assets have the same two."""
+    own_up, own_front = np.frombuffer(up), np.frombuffer(front)
     lengths = np.linalg.norm(own_up), np.linalg.norm(own_front)
     if not min(lengths) > 0:
         raise ValueError("'up' and 'front' must not be zero vectors")

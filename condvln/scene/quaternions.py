@@ -54,7 +54,7 @@ def to_matrix(xyzw: ArrayLike) -> F64:
 
 def from_wxyz(wxyz: ArrayLike) -> F64:
     """Convert a quaternion from the order of Habitat's scene files, ``[w, x, y, z]``, to ``[x, y, z, w]``."""
-    xyzw: F64 = np.roll(np.asarray(wxyz, dtype=np.float64), -1)
+    xyzw: F64 = np.asarray(wxyz, dtype=np.float64)[[1, 2, 3, 0]]
     return xyzw
 
 

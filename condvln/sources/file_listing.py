@@ -35,7 +35,7 @@ class FileListing:
         behind a link to a folder outside the root; the link is reported as one fault.
         """
         real_folder = os.path.realpath(root.folder)
-        folders: dict[str, str] = {}
+        folders: dict[str, tuple[str, bool]] = {}
         by_file: dict[str, list[str]] = {}
         for path in sorted(set(paths)):
             if not path.isprintable() and (shown := shown_path(path)) != path:
@@ -47,8 +47,10 @@ class FileListing:
                 continue
             folder, _, name = path.rpartition("/")
             if folder not in folders:
-                folders[folder] = os.path.realpath(root.folder / folder)
-            if not _is_inside(folders[folder], real_folder):
+                real = os.path.realpath(root.folder / folder)
+                folders[folder] = real.rstrip(os.sep) + os.sep, _is_inside(real, real_folder)
+            begin, inside = folders[folder]
+            if not inside:
                 link = _outermost_link(root, path)
                 self.faults[shown_path(link)] = PathEscapeError(
                     "the symbolic link leads out of the dataset's root folder; the files behind it are not read",
@@ -56,13 +58,18 @@ class FileListing:
                     remedy="Put the folder itself inside the root, or name the link under 'exclude'",
                 )
                 continue
-            real = os.path.join(folders[folder], name)
-            real = os.path.realpath(real) if os.path.islink(real) else real
-            if _is_inside(real, real_folder):
+            real = begin + name
+            if os.path.islink(real):
+                real = os.path.realpath(real)
+                inside = _is_inside(real, real_folder)
+            if inside:
                 by_file.setdefault(real, []).append(path)
             else:
                 self.paths.append(path)
         for real, same in by_file.items():
+            if len(same) == 1:
+                self.paths += same
+                continue
             kept = next((path for path in same if os.path.join(real_folder, path) == real), same[0])
             self.paths.append(kept)
             for path in same:

@@ -21,7 +21,8 @@ class InputLedger:
 
     def __init__(self) -> None:
         self._files: set[str] = set()
-        self._entries: dict[str, bytes] = {}
+        self._entries: dict[str, Any] = {}
+        self._records: dict[str, bytes] = {}
         self.objects: int | None = None
         self.rooms: int | None = None
 
@@ -31,11 +32,11 @@ class InputLedger:
 
     def entry(self, path: str, name: str, value: Any) -> None:
         """Record one entry of a shared file, so that changes of other entries do not affect this scene."""
-        self._entries[f"{path}#{name}"] = canonical_json(value)
+        self._entries[f"{path}#{name}"] = value
 
     def record(self, name: str, data: bytes) -> None:
         """Add an input by its bytes: one record of a shared file (named ``file#record``), or a whole file."""
-        self._entries[name] = data
+        self._records[name] = data
 
     def inputs(self, root: DatasetRoot, hash_file: HashFile) -> tuple[SceneInput, ...]:
         """Return all recorded inputs, sorted by path; files that no longer exist are left out.
@@ -44,7 +45,8 @@ class InputLedger:
         ------
         MissingFileError : a file exists but can't be read
         """
-        found = [SceneInput(p, len(v), hashlib.sha256(v).hexdigest()) for p, v in self._entries.items()]
+        entries = {name: canonical_json(value) for name, value in self._entries.items()} | self._records
+        found = [SceneInput(p, len(v), hashlib.sha256(v).hexdigest()) for p, v in entries.items()]
         for path in self._files:
             if root.has(path):
                 try:

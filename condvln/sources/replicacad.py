@@ -80,7 +80,7 @@ class ReplicaCadSource(SceneSource):
         if path is None:
             raise self.not_there(scene_id)
         assembly = self._assemble(dataset, scene_id, path, InputLedger())
-        objects = [self._object(body) for body in assembly.bodies]
+        objects = self._objects(assembly.bodies)
         rooms = self._rooms(scene_id, assembly, objects)
         objects, lost = in_rooms(objects, rooms)
         unnamed = {o.room_id for o in objects if o.raw_label == UNKNOWN_LABEL}
@@ -148,45 +148,83 @@ class ReplicaCadSource(SceneSource):
                 warnings.append(SceneWarning("navmesh_handle_unknown", "navmesh", message))
         return self.shipped_navmeshes(scene_name, ledger, configured), warnings
 
-    def _object(self, body: Body) -> SceneObject:
-        """Return a body as an object with its geometry. The object has no room yet."""
-        meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
+    def _objects(self, bodies: Sequence[Body]) -> list[SceneObject]:
+        """Return bodies as objects with their geometry. The objects have no room yet."""
+        shaped: list[_Shaped] = []
+        bare: dict[int, SceneObject] = {}
+        for k, body in enumerate(bodies):
+            meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
+            if any(map(len, meshes)):
+                shaped.append(_Shaped.of(body, meshes))
+            else:
+                matrix = body.to_scene(np.zeros(3) if body.com is None else body.com)
+                centre = round_mm(matrix[:3, 3])
+                item = SceneObject(body.placed.object_id, "", body.raw_label, body.label, centre)
+                bare[k] = replace(item, static=body.placed.static)
+        extended = iter(_extended(shaped) if shaped else ())
+        return [bare[k] if k in bare else next(extended) for k in range(len(bodies))]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Shaped:
+    """A body with the vertices of its meshes.
+
+    parts : its meshes, each with its (4, 4) transform into the scene's frame
+    world, local : (n, 3) vertices in the scene's frame, and in that of the first part
+    """
+
+    body: Body
+    parts: tuple[MeshPart, ...]
+    world: F64
+    local: F64
+
+    @classmethod
+    def of(cls, body: Body, meshes: Sequence[F64]) -> _Shaped:
+        """Return the vertices (n, 3) of a body whose `meshes` have vertices (m, 3) in their own frames."""
         own = [transform_points(part.transform, v) for part, v in zip(body.parts, meshes, strict=True) if len(v)]
-        if not own:
-            matrix = body.to_scene(np.zeros(3) if body.com is None else body.com)
-            centre = round_mm(matrix[:3, 3])
-            return SceneObject(body.placed.object_id, "", body.raw_label, body.label, centre, static=body.placed.static)
         com = body.com if body.com is not None else aabb_of(np.concatenate(own)).mean(axis=0)
         matrix = body.to_scene(com)
         parts = tuple(MeshPart(part.path, matrix @ part.transform) for part in body.parts)
-        world = np.concatenate([transform_points(matrix, v) for v in own])
-        aabb = round_mm(aabb_of(world))
-        centre = round_mm(aabb.mean(axis=0))
-        obb = oriented_box(_box_in_first(parts, meshes), parts[0].transform)
-        radius = np.ceil(np.linalg.norm(world - centre, axis=1).max() * 1000) / 1000
-        return SceneObject(
-            object_id=body.placed.object_id,
-            room_id="",
-            raw_label=body.raw_label,
-            label=body.label,
-            center=centre,
-            aabb=aabb,
-            obb=None if obb is None else rounded_box(obb),
-            size=round_mm(aabb[1] - aabb[0]),
-            radius=float(radius),
-            mesh=parts,
-            static=body.placed.static,
-        )
+        back = np.linalg.inv(parts[0].transform)
+        local = [transform_points(back @ part.transform, v) for part, v in zip(parts, meshes, strict=True) if len(v)]
+        return cls(body, parts, np.concatenate([transform_points(matrix, v) for v in own]), np.concatenate(local))
 
 
-def _box_in_first(parts: tuple[MeshPart, ...], meshes: list[F64]) -> F64:
-    """Return the (2, 3) box around all parts, in the frame of the first part."""
-    back = np.linalg.inv(parts[0].transform)
-    return aabb_of(
-        np.concatenate(
-            [transform_points(back @ part.transform, v) for part, v in zip(parts, meshes, strict=True) if len(v)]
+def _extended(shaped: Sequence[_Shaped]) -> list[SceneObject]:
+    """Return bodies as objects. Their boxes and spheres are computed together, since most have few vertices."""
+    sizes = [len(one.world) for one in shaped]
+    first = np.cumsum([0, *sizes[:-1]])
+    world = np.concatenate([one.world for one in shaped])
+    aabbs = round_mm(_boxes(world, first))
+    centres = round_mm(aabbs.mean(axis=1))
+    away = np.maximum.reduceat(np.linalg.norm(world - np.repeat(centres, sizes, axis=0), axis=1), first)
+    radii = (np.ceil(away * 1000) / 1000).tolist()
+    extents = round_mm(aabbs[:, 1] - aabbs[:, 0])
+    locals_ = _boxes(np.concatenate([one.local for one in shaped]), first)
+    found = []
+    for k, one in enumerate(shaped):
+        obb = oriented_box(locals_[k], one.parts[0].transform)
+        found.append(
+            SceneObject(
+                object_id=one.body.placed.object_id,
+                room_id="",
+                raw_label=one.body.raw_label,
+                label=one.body.label,
+                center=centres[k],
+                aabb=aabbs[k],
+                obb=None if obb is None else rounded_box(obb),
+                size=extents[k],
+                radius=radii[k],
+                mesh=one.parts,
+                static=one.body.placed.static,
+            )
         )
-    )
+    return found
+
+
+def _boxes(points: F64, first: NDArray[np.intp]) -> F64:
+    """Return the boxes (b, 2, 3) around groups of points (n, 3); the groups begin at the indices `first` (b,)."""
+    return np.stack([np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)], axis=1)
 
 
 def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:

@@ -7,6 +7,7 @@ paths, default attributes, and entries that define or modify a template.
 from __future__ import annotations
 
 import glob
+import os
 import posixpath
 from collections import Counter
 from dataclasses import dataclass, field
@@ -25,6 +26,9 @@ __all__ = ["CONFIG_SUFFIX", "Attribute", "SceneDataset", "Template"]
 CONFIG_SUFFIX: Final = ".scene_dataset_config.json"
 MAX_JSON_BYTES: Final = 64 << 20
 """Size limit in bytes of a document: ReplicaCAD's largest has 50 kB, the largest scene dataset config known 20 MB."""
+
+KEPT_JSON_BYTES: Final = 1 << 13
+"""Largest document in bytes whose parsed content is cached; templates have 1 kB."""
 
 KEPT_URDF_BYTES: Final = 1 << 18
 """Largest URDF file in bytes whose parsed content is cached; ReplicaCAD's have 10 kB."""
@@ -89,6 +93,9 @@ class _Index:
     loaded: dict[str, Template] = field(default_factory=dict)
 
 
+_known_json = lru_cache(maxsize=1024)(parse_json)
+"""Cached small documents, most of them templates shared by scenes, keyed by the file's bytes as well."""
+
 _known_urdf = lru_cache(maxsize=64)(read_urdf)
 """Cached meshes of bodies shared by scenes, keyed by the file's bytes, so that a changed file is read again."""
 
@@ -117,7 +124,8 @@ class SceneDataset:
         ------
         InputError : it is missing or malformed
         """
-        return parse_json(self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path))
+        data, where = self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path)
+        return (_known_json if len(data) <= KEPT_JSON_BYTES else parse_json)(data, where)
 
     def has(self, path: str) -> bool:
         """Return whether a file exists; cached."""
@@ -231,7 +239,11 @@ class SceneDataset:
         suffixes = _ASSETS if extension in _ASSETS else tuple(s for s in _KINDS[kind] if s.endswith(extension))
         found: set[str] = set()
         for path in glob.glob(relative, root_dir=self.root.folder):
-            inside = glob.glob(f"{glob.escape(path)}/*", root_dir=self.root.folder)
+            try:
+                names = os.listdir(self.root.folder / path)
+            except OSError:
+                names = []
+            inside = [f"{path}/{name}" for name in names if not name.startswith(".")]
             found.update(p for p in (path, *inside) if p.endswith(suffixes))
         return found
 
