@@ -30,6 +30,8 @@ KERNEL_MODULES: Final = {
     "starts of episodes": "condvln.episodes.starts",
     "beginnings of paths": "condvln.episodes.kernels.prefix",
     "json scan": "condvln.formats.json_scan",
+    "looks of the verifier": "condvln.verify.kernels.looking",
+    "gaps between leaves": "condvln.verify.kernels.separation",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""
 

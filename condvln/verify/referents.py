@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from condvln.scene import Scene, SceneObject
@@ -86,33 +87,37 @@ class SceneReferents:
             self.astride = astride_rooms(scene, self._label, self.meaning)
         else:
             self.hidden, self.said, self.astride = labels.hidden, labels.said, labels.astride
-        astride = self.astride
-        types = self._room_types(held)
-        self.rooms = {
-            room.room_id: RoomView(
-                room,
-                types[room.room_id],
-                held[room.room_id],
-                scene.family,
-                self.meaning,
-                self.hidden,
-                can_be_seen,
-                thresholds,
-                self.said,
-                frozenset(item.object_id for item, _ in astride if item.room_id == room.room_id),
-                frozenset(self._label(item) for item, others in astride if room.room_id in others),
-            )
-            for room in scene.rooms
-        }
+        self._held, self._can_be_seen = held, can_be_seen
         self._rooms: dict[Named | None, tuple[RoomView, str | None] | Problem] = {}
         self._things: dict[Phrase, Referent | Problem] = {}
         self._claims: dict[Phrase, Answer | Problem] = {}
         self._related: dict[tuple[str, str, str, tuple[str, ...], bool], list[tuple[Thing, Judgement]]] = {}
 
+    @cached_property
+    def rooms(self) -> dict[str, RoomView]:
+        """The rooms of the scene by id, with what words may mean there."""
+        types = self._room_types(self._held)
+        return {
+            room.room_id: RoomView(
+                room,
+                types[room.room_id],
+                self._held[room.room_id],
+                self.scene.family,
+                self.meaning,
+                self.hidden,
+                self._can_be_seen,
+                self._thresholds,
+                self.said,
+                frozenset(item.object_id for item, _ in self.astride if item.room_id == room.room_id),
+                frozenset(self._label(item) for item, others in self.astride if room.room_id in others),
+            )
+            for room in self.scene.rooms
+        }
+
     @property
     def single_room(self) -> bool:
         """Whether the scene is one room, so that texts need not name the room."""
-        return len(self.rooms) == 1
+        return self.scene.single_room
 
     def _label(self, item: SceneObject) -> str:
         return self.meaning.label(item.raw_label, self.scene.family, model_of(item))

@@ -24,6 +24,7 @@ from condvln.navigation.sight import View, in_view
 from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.verify.kernels.looking import in_front, in_range, spread
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import FIRST_VIEW_DEGREES, FRAME_HEADROOM
 
@@ -83,15 +84,12 @@ class _Points:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Look:
-    """The pending visibility tests of one target from eyes (n, 3), with a cache key for each eye. `seen` (n, k) marks
-    the points of the target: first those in range, later those that are visible.
-    """
+    """The pending visibility tests of one target from eyes (n, 3), with a cache key for each eye."""
 
     sought: Sought
     keys: list[bytes]
     eyes: F64
     where: _Points
-    seen: Bools
 
 
 class Sight:
@@ -124,9 +122,7 @@ class Sight:
     ) -> None:
         self._scene, self._floor, self._rules = scene, floor, rules
         self._is_frame = is_frame
-        self._around = View(range=places.sight_range)
-        self._level = View(range=places.sight_range, pitch=FIRST_VIEW_DEGREES / 2)
-        self._ahead = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
+        self._reach, self._slope = places.sight_range, math.tan(math.radians(FIRST_VIEW_DEGREES / 2))
         known = None if geometry is None or not len(geometry.faces) else geometry
         self.approximate = known is None or known.approximate
         self.walls = known is not None and (not known.approximate or STRUCTURE in known.owner)
@@ -171,33 +167,34 @@ class Sight:
             if where is None or not of:
                 continue
             keys, eyes = list(of), np.array(list(of.values()))
-            view = self._level if sought[0] == "thing" else self._around
             for at in range(0, len(keys), EYES_AT_ONCE):
                 part = slice(at, at + EYES_AT_ONCE)
-                looks.append(_Look(sought, keys[part], eyes[part], where, in_view(eyes[part], where.points, view)))
-                waiting += int(looks[-1].seen.sum())
+                looks.append(_Look(sought, keys[part], eyes[part], where))
+                waiting += len(looks[-1].keys) * len(where.points)
                 if waiting > RAYS_AT_ONCE:
                     self._cast(looks)
                     looks, waiting = [], 0
         self._cast(looks)
 
     def _cast(self, looks: Sequence[_Look]) -> None:
-        """Test which of the points in range are not occluded. Store the results in `seen` of each of `looks`, and in
-        the cache.
-        """
+        """Test which points of each of `looks` are in range and not occluded, and store the results in the cache."""
         if not looks:
             return
-        ends = [np.nonzero(look.seen) for look in looks]
-        begins = np.concatenate([look.eyes[eye] for look, (eye, _) in zip(looks, ends, strict=True)])
-        points = np.concatenate([look.where.points[point] for look, (_, point) in zip(looks, ends, strict=True)])
-        boxes = np.concatenate([look.where.boxes[point] for look, (_, point) in zip(looks, ends, strict=True)])
-        free = ~self._hiding.hidden(begins, points, boxes)
+        eyes = np.concatenate([look.eyes for look in looks])
+        points = np.concatenate([look.where.points for look in looks])
+        boxes = np.concatenate([look.where.boxes for look in looks])
+        sizes = np.array([(len(look.keys), len(look.where.points)) for look in looks])
+        slopes = np.array([self._slope if look.sought[0] == "thing" else np.inf for look in looks])
+        eye_ends, point_ends = np.cumsum(sizes, axis=0).T.copy()
+        pair, eye, point = in_range(eyes, points, eye_ends, point_ends, slopes, self._reach)
+        seen = np.zeros(int(sizes.prod(axis=1).sum()), dtype=bool)
+        seen[pair] = ~self._hiding.hidden(eyes[eye], points[point], boxes[point])
         at = 0
-        for look, (eye, point) in zip(looks, ends, strict=True):
-            look.seen[eye, point] = free[at : at + len(eye)]
-            at += len(eye)
-            self._kept += look.seen.size
-            self._seen[look.sought].update(zip(look.keys, look.seen, strict=True))
+        for look in looks:
+            rows = seen[at : at + len(look.keys) * len(look.where.points)].reshape(len(look.keys), -1)
+            at += rows.size
+            self._kept += rows.size
+            self._seen[look.sought].update(zip(look.keys, rows, strict=True))
 
     def floor(self, room_id: str) -> F64:
         """Return points (n, 3) on a room's floor."""
@@ -211,23 +208,42 @@ class Sight:
         triangles = self._triangles(item)
         return item.center[None] if triangles is None else evenly(triangles, count)
 
-    def meets(self, object_id: str, eyes: F64, points: F64, enough: float = np.inf) -> Bools:
-        """Return whether each of an object's points (k, 3) is visible from any of the eyes (n, 3), at any distance.
-
-        Once `enough` points are, no more eyes are asked.
+    def met(self, things: Sequence[tuple[str, F64]], eyes: F64, enough: Sequence[float]) -> list[bool]:
+        """Return for each object, given by its id and points (k, 3) on it, whether `enough` of its points are visible
+        from any of the eyes (n, 3), at any distance.
         """
-        own = self._own_boxes(object_id, points)
-        seen = np.zeros(len(points), dtype=bool)
         turns = max(TURNS, -(-len(eyes) // EYES_AT_ONCE))
+        most = max(RAYS_AT_ONCE * turns // max(len(eyes), 1), 1)
+        found: list[bool] = []
+        while len(found) < len(things):
+            first, points = len(found), 0
+            for _, its in things[first:]:
+                points += len(its)
+                if points > most and len(found) > first:
+                    break
+                found.append(False)
+            part = slice(first, len(found))
+            found[part] = self._met(things[part], eyes, np.array(enough[part]), turns)
+        return found
+
+    def _met(self, things: Sequence[tuple[str, F64]], eyes: F64, enough: F64, turns: int) -> list[bool]:
+        points = np.concatenate([its for _, its in things])
+        own = np.concatenate([self._own_boxes(name, its) for name, its in things])
+        of = np.repeat(np.arange(len(things)), [len(its) for _, its in things])
+        seen = np.zeros(len(points), dtype=bool)
+        missing = enough > 0
         for turn in range(min(turns, len(eyes))):  # each with eyes all over the room
-            left = np.flatnonzero(~seen)
-            if not len(left) or len(points) - len(left) >= enough:
+            left = np.flatnonzero(~seen & missing[of])
+            if not len(left):
                 break
             part = eyes[turn::turns]
-            looks = np.repeat(part, len(left), axis=0), np.tile(points[left], (len(part), 1))
-            hidden = self._hiding.hidden(*looks, np.tile(own[left], len(part)))
-            seen[left] = ~hidden.reshape(len(part), len(left)).all(axis=0)
-        return seen
+            ends = np.cumsum(np.bincount(of[left], minlength=len(things)))
+            eye_ends, anyhow = len(part) * np.arange(1, len(things) + 1), np.full(len(things), np.inf)
+            _, eye, point = in_range(np.tile(part, (len(things), 1)), points[left], eye_ends, ends, anyhow, np.inf)
+            point = left[point]
+            seen[point[~self._hiding.hidden(part[eye % len(part)], points[point], own[point])]] = True
+            missing = np.bincount(of[seen], minlength=len(things)) < enough
+        return [not few for few in missing]
 
     def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
         """Return whether enough points of a target are visible; a point counts if any of the eyes (n, 3) sees it. If
@@ -246,7 +262,7 @@ class Sight:
         where = self._where(sought)
         if where is None:
             return False
-        facing = in_view(eyes, where.points, View(range=self._around.range, horizontal_fov=angle), headings)
+        facing = in_view(eyes, where.points, View(range=self._reach, horizontal_fov=angle), headings)
         some = np.flatnonzero(facing.any(axis=1))
         if not len(some):
             return False
@@ -274,7 +290,10 @@ class Sight:
         rows = self._seen[sought]
         found = [rows[key] for key in _keys(eyes)]
         seen: Bools = found[0] if len(found) == 1 else np.any(found, axis=0)
-        return seen if yaw is None else seen & in_view(eyes, where.points, self._ahead, [yaw])[0]
+        if yaw is None:
+            return seen
+        turned = float(np.sin(yaw)), float(np.cos(yaw))
+        return seen & in_front(eyes[0], where.points, *turned, self._reach, self._slope, self._slope)
 
     def _where(self, sought: Sought) -> _Points | None:
         """Return the sample points of a target; None if the target is not in the scene."""
@@ -352,23 +371,14 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
     Within triangles they follow the R2 sequence (Roberts 2018), mapped from the square to a triangle by the root map.
     """
-    first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    (ax, ay, az), (bx, by, bz) = along.T, across.T
-    area = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
-    if not area.any():  # degenerate triangles: a line or a point
-        area = np.ones(len(triangles))
-    share, root, part = _spread(count)
-    upto = np.cumsum(area)
-    face = np.searchsorted(upto, share * upto[-1], side="right").clip(max=len(area) - 1)
-    points: F64 = first[face] + root * ((1.0 - part) * along[face] + part * across[face])
-    return points
+    return spread(np.ascontiguousarray(triangles, np.float64), *_spread(count))
 
 
 @lru_cache(maxsize=16)
 def _spread(count: int) -> tuple[F64, F64, F64]:
-    """Return for each of `count` points its share of the area (n,), and where in its triangle it lies, (n, 1) each."""
+    """Return for each of `count` points its share of the area (n,), and where in its triangle it lies, (n,) each."""
     number = np.arange(count)
-    u, v = (np.asarray((number + 1) * step % 1.0, np.float64)[:, None] for step in _R2)
+    u, v = (np.asarray((number + 1) * step % 1.0, np.float64) for step in _R2)
     root: F64 = np.sqrt(u)
     return (number + 0.5) / count, root, v
 

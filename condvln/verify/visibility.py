@@ -53,19 +53,23 @@ class Onlookers:
     def see(self, object_id: str) -> bool:
         """Return whether an object is visible from some position in its room."""
         if object_id not in self._seen:
-            self._seen[object_id] = self._look_for(object_id)
+            item = self._scene.object_of.get(object_id)
+            if item is None or object_id in self._hidden or item.room_id not in self._scene.room_of:
+                return False
+            self._look_around(item.room_id)
         return self._seen[object_id]
 
-    def _look_for(self, object_id: str) -> bool:
-        item = self._scene.object_of.get(object_id)
-        if item is None or object_id in self._hidden or item.room_id not in self._scene.room_of:
-            return False
-        points = self._sight.surface(object_id, POINTS)
-        eyes = self._of_room(item.room_id)
-        least = SEEN_SHARE * len(points)
-        if self._sight.meets(object_id, eyes[::FEW], points[::FEW], least).sum() >= least:
-            return True
-        return bool(self._sight.meets(object_id, eyes, points, least).sum() >= least) if len(eyes) else False
+    def _look_around(self, room_id: str) -> None:
+        """Look for all objects of a room."""
+        names = [x.object_id for x in self._scene.objects if x.room_id == room_id and x.object_id not in self._hidden]
+        things = [(name, self._sight.surface(name, POINTS)) for name in names]
+        eyes = self._of_room(room_id)
+        for stride in (FEW, 1):
+            looked = [(name, points[::stride]) for name, points in things]
+            least = [SEEN_SHARE * len(points) for _, points in things]
+            seen = self._sight.met(looked, eyes[::stride], least)
+            self._seen.update(zip([name for name, _ in things], seen, strict=True))
+            things = [thing for thing, found in zip(things, seen, strict=True) if not found]
 
     def _of_room(self, room_id: str) -> F64:
         """Return eyes (n, 3) at the positions of a room where an agent can stand."""

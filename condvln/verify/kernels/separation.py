@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.compiled import compiled
+from condvln.compiled import compiled, register_warm_up
 
 __all__ = ["clearances", "near_goals"]
 
@@ -75,3 +75,12 @@ def near_goals(goals: F64, goal_ends: I64, row_ends: I64, within: float) -> I64:
                             count += 1
         first = row_ends[row]
     return found[:count]
+
+
+def _warm_up() -> None:
+    points, ends = np.zeros((2, 3)), np.array([1, 2])
+    clearances(points, ends, points, ends, np.array([2]), 2)
+    near_goals(points, ends, np.array([2]), 1.0)
+
+
+register_warm_up("gaps between leaves", _warm_up)

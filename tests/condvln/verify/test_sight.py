@@ -13,12 +13,15 @@ from scipy.stats import binom
 
 from condvln.episodes.floor import floor_points
 from condvln.episodes.goals import blocked_footprints, wide_islands
+from condvln.navigation.occluders import BoxOccluders
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.sight import View, in_view
 from condvln.scene import Room, Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.verify import sight as module
 from condvln.verify.footprints import Obstacles
 from condvln.verify.ground_points import ground_points
+from condvln.verify.kernels.looking import in_front, in_range
 from condvln.verify.proof import find_navmesh
 from condvln.verify.sight import ODDS, OWN_POINTS, Sight, _Points, evenly, much
 from schemas.config import EpisodeConfig, PlacesConfig
@@ -205,29 +208,55 @@ def test_a_frame_hides_nothing_of_what_is_on_it() -> None:
             PlacesConfig(),
             EpisodeConfig(),
         )
-        assert bool(sight.meets("vase", np.array([[0.0, 1.25, 0.0]]), sight.surface("vase", 64)).any()) == seen
+        assert sight.met([("vase", sight.surface("vase", 64))], np.array([[0.0, 1.25, 0.0]]), [1]) == [seen]
 
 
 @pytest.mark.parametrize("eyes", [1, 7, 40, 700])
-def test_points_are_met_as_by_each_eye_alone_until_enough_are(eyes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Around a wall that hides the vase from half of the room."""
+def test_things_are_met_together_as_by_each_eye_alone(eyes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Around a wall that hides a vase from half of the room, and all but the top of another one."""
     monkeypatch.setattr(module, "EYES_AT_ONCE", 16)
+    monkeypatch.setattr(module, "RAYS_AT_ONCE", 512)
     wall = dataclasses.replace(box("wall", 1.0, 0.3, 0.2, 0.0, 2.0), object_id="wall", room_id="r")
     vase = dataclasses.replace(box("vase", 1.6, 0.0, 0.2, 0.5, 1.5), object_id="vase", room_id="r")
-    scene = Scene("made", "flat", Path("."), (ROOM,), (wall, vase))
+    lamp = dataclasses.replace(box("lamp", 1.6, 0.5, 0.2, 0.5, 2.5), object_id="lamp", room_id="r")
+    scene = Scene("made", "flat", Path("."), (ROOM,), (wall, vase, lamp))
     nothing = np.empty((0, 3))
     sight = Sight(
         scene, None, lambda item: False, lambda item: False, lambda room_id: nothing, PlacesConfig(), EpisodeConfig()
     )
     rng = np.random.default_rng(eyes)
     places = rng.uniform([-1.0, 1.0, -1.0], [0.5, 1.4, 1.0], (eyes, 3))
-    points = sight.surface("vase", 64)
-    alone = np.array([sight.meets("vase", place[None], points) for place in places])
-    expected = alone.any(axis=0)
-    np.testing.assert_array_equal(sight.meets("vase", places, points), expected)
-    assert 0 < expected.sum() < len(points)
-    for enough in (0, 1, expected.sum(), expected.sum() + 1):
-        met = sight.meets("vase", places, points, enough)
-        assert (met <= expected).all()
-        assert (met.sum() >= enough) == (expected.sum() >= enough)
-    assert not sight.meets("vase", places[:0], points).any()
+    boxes = BoxOccluders.of_aabbs([x.box for x in scene.objects])
+    things = [(x.object_id, sight.surface(x.object_id, 64 + 8 * k)) for k, x in enumerate(scene.objects)]
+    shown = []
+    for number, (_, points) in enumerate(things):
+        lines = np.repeat(places, len(points), axis=0), np.tile(points, (eyes, 1))
+        free = ~boxes.hidden(*lines, np.full(len(lines[0]), number))
+        shown.append(int(free.reshape(eyes, -1).any(axis=0).sum()))
+    assert 0 < shown[1] < 72
+    for more in (-1, 0, 1):
+        asked = [count + more for count in shown]
+        assert sight.met(things, places, asked) == [more <= 0] * 3
+    assert sight.met(things, places, [count + k % 2 for k, count in enumerate(shown)]) == [True, False, True]
+    assert sight.met(things, places[:0], [1, 1, 1]) == [False] * 3
+
+
+def test_kernels_look_as_the_arrays_of_all_pairs_say() -> None:
+    """Bit for bit, also at the bounds of the view, for targets side by side, and for an eye without a place."""
+    rng = np.random.default_rng(5)
+    level, ahead = View(range=2.5, pitch=45.0), View(range=2.5, horizontal_fov=90.0, vertical_fov=90.0)
+    eyes = [rng.integers(-2, 3, (n, 3)).astype(float) for n in (3, 1, 40)]
+    points = [np.concatenate([rng.integers(-2, 3, (n, 3)), rng.normal(size=(n, 3))]) for n in (20, 64, 1)]
+    eyes[2][0] = np.nan
+    views = [level, View(range=2.5), level]
+    expected = np.concatenate([in_view(*one).ravel() for one in zip(eyes, points, views, strict=True)])
+    ends = [np.cumsum([len(one) for one in those]) for those in (eyes, points)]
+    slopes = np.array([np.tan(np.radians(45.0)), np.inf, np.tan(np.radians(45.0))])
+    pair, eye, point = in_range(np.concatenate(eyes), np.concatenate(points), *ends, slopes, 2.5)
+    np.testing.assert_array_equal(pair, np.flatnonzero(expected))
+    of = np.repeat(np.arange(3), [len(one) * len(its) for one, its in zip(eyes, points, strict=True)])[pair]
+    np.testing.assert_array_equal(np.searchsorted(ends[0], eye, side="right"), of)
+    np.testing.assert_array_equal(np.searchsorted(ends[1], point, side="right"), of)
+    for yaw in (0.0, 0.7, -2.0, np.pi / 2):
+        seen = in_front(eyes[0][0], points[1], float(np.sin(yaw)), float(np.cos(yaw)), 2.5, *[np.tan(np.pi / 4)] * 2)
+        np.testing.assert_array_equal(seen, in_view(eyes[0][:1], points[1], ahead, [yaw])[0])
