@@ -8,7 +8,7 @@ words is one token. This rule gives the tokens stored in R2R_VLNCE v1-3.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,6 +23,7 @@ PAD: Final = "<pad>"
 UNK: Final = "<unk>"
 PAD_INDEX: Final = 0
 UNK_INDEX: Final = 1
+_PADDING: Final = b",%d" % PAD_INDEX
 
 TOKEN_LENGTH: Final = 200
 """Number of tokens to which an instruction is padded, as in the preprocessed R2R_VLNCE v1-3, whose users stack
@@ -37,8 +38,19 @@ _MARK: Final = "[^0-9A-Za-z_ -]"
 
 def tokenize(text: str) -> list[str]:
     """Return the words and punctuation of ``text`` in order, in lower case."""
-    parts = _WORD.split(text.lower().replace("'s", " 's").translate(_DROPPED))
-    return [word for part in parts if (word := part.strip())]
+    return [word for part in _WORD.split(_prepared(text)) if (word := part.strip())]
+
+
+def _prepared(text: str) -> str:
+    return text.lower().replace("'s", " 's").translate(_DROPPED)
+
+
+def _tokens_apart(piece: str) -> list[str] | None:
+    """Return the tokens of ``piece``, a part of a text between two spaces; None if they depend on the part before,
+    since the piece begins with a mark, and marks on both sides of a space are one token.
+    """
+    found = _prepared(piece)
+    return None if found and _WORD.match(found) else tokenize(piece)
 
 
 def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
@@ -55,6 +67,31 @@ def longer_than(texts: pa.Array, limit: int) -> npt.NDArray[np.bool_]:
     return longer
 
 
+class _BeginsWithMarkError(Exception):
+    """The tokens of a piece of text depend on the piece before."""
+
+
+class _Told(dict[str, bytes]):
+    """The token indices of each piece of text between two spaces as JSON numbers, each after a comma; made when they
+    are first needed.
+    """
+
+    def __init__(self, index: Mapping[str, int]) -> None:
+        super().__init__()
+        self._of_word = index
+
+    def __missing__(self, piece: str) -> bytes:
+        words = _tokens_apart(piece)
+        if words is None:
+            raise _BeginsWithMarkError
+        self[piece] = told = _json_after_commas([self._of_word.get(word, UNK_INDEX) for word in words])
+        return told
+
+
+def _json_after_commas(numbers: Iterable[int]) -> bytes:
+    return b"".join(b",%d" % number for number in numbers)
+
+
 @dataclass(frozen=True)
 class Vocabulary:
     """A list of words, in the order of their indices; the first two are PAD and UNK."""
@@ -64,7 +101,9 @@ class Vocabulary:
     def __post_init__(self) -> None:
         if self.words[:2] != (PAD, UNK) or len(set(self.words)) != len(self.words):
             raise ValueError("the vocabulary does not start with <pad>, <unk>, or it names a word twice")
-        object.__setattr__(self, "_index", {word: index for index, word in enumerate(self.words)})
+        index = {word: index for index, word in enumerate(self.words)}
+        object.__setattr__(self, "_index", index)
+        object.__setattr__(self, "_told", _Told(index))
 
     @classmethod
     def of(cls, texts: Iterable[str]) -> Vocabulary:
@@ -72,8 +111,15 @@ class Vocabulary:
         texts.
         """
         found: set[str] = set()
+        known: set[str] = set()
         for text in texts:
-            found.update(tokenize(text))
+            pieces = set(text.split()) - known
+            apart = [_tokens_apart(piece) for piece in pieces]
+            if None in apart:
+                found.update(tokenize(text))
+            else:
+                found.update(*filter(None, apart))
+                known |= pieces
         return cls((PAD, UNK, *sorted(found - {PAD, UNK})))
 
     @classmethod
@@ -96,6 +142,18 @@ class Vocabulary:
         """
         tokens = self.encode(text)[:length]
         return tokens + [PAD_INDEX] * (length - len(tokens))
+
+    def padded_json(self, text: str, length: int = TOKEN_LENGTH) -> tuple[bytes, int]:
+        """Return :meth:`padded`'s result as JSON, and how many tokens the whole text has."""
+        told: _Told = self._told  # type: ignore[attr-defined]
+        try:
+            joined = b"".join(map(told.__getitem__, text.split()))
+        except _BeginsWithMarkError:
+            joined = _json_after_commas(self.encode(text))
+        count = joined.count(b",")
+        if count > length:
+            joined = _json_after_commas(self.encode(text)[:length])
+        return b"[" + (joined + _PADDING * (length - count))[1:] + b"]", count
 
     def document(self) -> dict[str, Any]:
         """Return ``instruction_vocab`` of a VLN-CE file, keys in the stock order."""

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+import orjson
+
 from condvln.export.rows import Row
 from condvln.export.vlnce import encode, gold
 
@@ -105,6 +107,6 @@ def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:
     return texts(episode, instruction) if callable(texts) else texts[episode["episode_id"]]
 
 
-def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int]) -> dict[str, Any]:
+def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int] | orjson.Fragment) -> dict[str, Any]:
     """Return the oracle-linear twin of a stock episode."""
     return {**stock, "instruction": {**stock["instruction"], "instruction_text": text, "instruction_tokens": tokens}}

@@ -59,7 +59,7 @@ def gold(row: Row) -> Row:
     return leaf
 
 
-def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
+def vlnce_episode(row: Row, scene_id: str, tokens: list[int] | orjson.Fragment) -> dict[str, Any]:
     """Return the stock episode of a row of the episodes table.
 
     The goals are all goal points of the gold leaf, the nearest to the start first: evaluators take the minimum over

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
+import orjson
+
 from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.place_graphs import PLACES, Places
 from condvln.export.r2r import Graphs, r2r_episode
@@ -17,7 +19,7 @@ from condvln.export.report import ExportReport, WrittenFile
 from condvln.export.rows import Row
 from condvln.export.scene_table import SceneTable
 from condvln.export.splits import SPLITS
-from condvln.export.tokens import Vocabulary, tokenize
+from condvln.export.tokens import Vocabulary
 from condvln.export.variants import OracleText, ansr_bytes, oracle_episode, oracle_text_of, rxr_episode
 from condvln.export.vlnce import (
     DocumentWriter,
@@ -185,16 +187,17 @@ class ExportWriter:
         self, files: _SplitFiles, documents: dict[str, DocumentWriter], source: str, row: Row, instruction: Row
     ) -> None:
         text, length = row["instruction_text"], self._layout.token_length
-        tokens = self._vocabulary.padded(text, length)
-        self._report.texts_cut += tokens[-1] != 0 and len(tokenize(text)) > length
-        stock = vlnce_episode(row, scene_file(source, row["scene_id"], self._layout.scene_patterns), tokens)
+        tokens, count = self._vocabulary.padded_json(text, length)
+        self._report.texts_cut += count > length
+        scene = scene_file(source, row["scene_id"], self._layout.scene_patterns)
+        stock = vlnce_episode(row, scene, orjson.Fragment(tokens))
         encoded = encode(stock)
         documents["vlnce"].add(encoded)
         documents["ansr"].add(ansr_bytes(encoded, row))
         documents["rxr"].add(encode(rxr_episode(stock, row, files.name, self._report.language)))
         if self._oracle_texts is not None:
             linear = oracle_text_of(self._oracle_texts, row, instruction)
-            twin = oracle_episode(stock, linear, self._vocabulary.padded(linear, length))
+            twin = oracle_episode(stock, linear, orjson.Fragment(self._vocabulary.padded_json(linear, length)[0]))
             documents["oracle"].add(encode(twin))
         truth = encode(ground_truth(row))
         files.truth.add(encode(str(row["episode_id"])) + b":" + truth)
