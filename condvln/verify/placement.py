@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -35,32 +34,54 @@ ROUNDING: Final = 1e-6
 LEAF_NAMES: Final = tuple(f"leaf {k}" for k in range(8))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Leaf:
+Verdict = tuple[str, bool, Any, Any]
+"""A fact, whether it holds, and the claimed and the found value."""
+
+
+class _Target:
+    """An object, and the places from which an agent reaches it: the goals of a leaf, or one subgoal. Many leaves of a
+    scene share it, so that what holds of it alone is found once.
+
+    points : index of each place
+    away, here : for each place, metres from the object, and whether it is on its floor and in its room; empty if the
+        object does not exist
+    around : queries from each place nearest to the object to all places
+    near, side : verdicts on these, and on whether a wall is between the places; None until they are asked for
+    """
+
+    def __init__(self, object_id: str, places: tuple[Point, ...], reach: Reach, walks: Geodesics) -> None:
+        self.object_id, self.places = object_id, places
+        self.points = tuple([walks.point(place) for place in places])
+        self.away, self.here = reach.around(object_id, places)
+        # Several may be nearest within rounding; the wall check starts from each of them.
+        least = min(self.away, default=0.0) + ROUNDING
+        nearest = [one for one, metres in zip(self.points, self.away or (0.0,), strict=False) if metres <= least]
+        self.around = [[walks.pair(one, other) for other in self.points] for one in nearest]
+        self.near: list[Verdict] | None = None
+        self.side: list[Verdict] | None = None
+
+
+class _Leaf(NamedTuple):
     """One leaf, with the indices of its points and queries.
 
     end : index of the goal at which its path ends
-    away, here : for each goal, metres from the object, and whether it is on its floor and in its room; empty if the
-        object does not exist
+    target, subgoals : its object, and those of its stops before
     direct : queries from the start to the goals; final : from the last stop to the goals; first : from the start to the
-        subgoals; around : from each goal nearest to the object to all goals; legs : from stop to stop
+        subgoals; legs : from stop to stop
     """
 
     leaf: EpisodeLeaf
     end: int
-    away: tuple[float, ...]
-    here: tuple[bool, ...]
+    target: _Target
+    subgoals: tuple[_Target, ...]
     stops: tuple[int, ...]
-    goals: tuple[int, ...]
     direct: tuple[int, ...]
     final: tuple[int, ...]
     first: tuple[int, ...]
-    around: tuple[tuple[int, ...], ...]
     legs: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Placed:
+class _Placed(NamedTuple):
     """A row's start and leaves.
 
     gaps : by pair of leaves the queries about their goals, if a straight line does not show that they are apart
@@ -96,7 +117,7 @@ def check_placement(
         met = [next(crossed) for _ in row.leaves]
         certificate.holds("in_the_way", met.count(None) == len(met), "free paths", met, "paths")
         checker.check(row, places, certificate)
-        _check_budget(row, groups, walks, rules, certificate)
+        _check_budget(row, places, groups, walks, rules, certificate)
 
 
 class _Lines:
@@ -145,6 +166,8 @@ class _Checker:
         self.separation = rules.places.leaf_separation(single)
         self.walks = Geodesics()
         self.reach = Reach(scene)
+        self._targets: dict[tuple[str, tuple[Point, ...]], _Target] = {}
+        self._fans: dict[tuple[int, tuple[int, ...]], tuple[int, ...]] = {}
         self._inside: dict[int, str] = {}
         self._astray: set[int] = set()
 
@@ -161,7 +184,7 @@ class _Checker:
         for row in rows:
             start = self.walks.point(row.start_position)
             leaves = tuple([self._note_leaf(start, leaf) for leaf in row.leaves])
-            names = [goal for leaf in leaves for goal in leaf.goals]
+            names = [goal for leaf in leaves for goal in leaf.target.points]
             last = first + len(leaves)
             gaps: dict[tuple[int, int], list[int]] = {}
             while pair is not None and pair[0] < last:
@@ -176,29 +199,36 @@ class _Checker:
         return placed
 
     def _note_leaf(self, start: int, leaf: EpisodeLeaf) -> _Leaf:
-        point, pair = self.walks.point, self.walks.pair
-        goals = tuple([point(goal) for goal in leaf.goals])
-        subgoals = tuple([point(subgoal.position) for subgoal in leaf.subgoals])
+        target = self._target(leaf.object_id, leaf.goals)
+        subgoals = tuple([self._target(subgoal.object_id, (subgoal.position,)) for subgoal in leaf.subgoals])
+        before = tuple([subgoal.points[0] for subgoal in subgoals])
         end = _end(leaf)
-        stops = (start, *subgoals, goals[end])
-        direct = tuple([pair(start, goal) for goal in goals])
-        away, here = self.reach.around(leaf.object_id, leaf.goals)
-        # Several goals may be nearest within rounding; the wall check starts from each of them.
-        least = min(away, default=0.0) + ROUNDING
-        nearest = [goal for goal, metres in zip(goals, away or (0.0,), strict=False) if metres <= least]
+        stops = (start, *before, target.points[end])
+        direct = self._fan(start, target.points)
         return _Leaf(
             leaf=leaf,
             end=end,
-            away=away,
-            here=here,
+            target=target,
+            subgoals=subgoals,
             stops=stops,
-            goals=goals,
             direct=direct,
-            final=tuple([pair(stops[-2], goal) for goal in goals]) if subgoals else direct,
-            first=tuple([pair(start, subgoal) for subgoal in subgoals]),
-            around=tuple([tuple([pair(one, goal) for goal in goals]) for one in nearest]),
+            final=self._fan(stops[-2], target.points) if before else direct,
+            first=self._fan(start, before),
             legs=tuple([self.walks.leg(one, other) for one, other in pairwise(stops)]),
         )
+
+    def _target(self, object_id: str, places: tuple[Point, ...]) -> _Target:
+        target = self._targets.get((object_id, places))
+        if target is None:
+            target = self._targets[object_id, places] = _Target(object_id, places, self.reach, self.walks)
+        return target
+
+    def _fan(self, one: int, others: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the queries from one point to others."""
+        fan = self._fans.get((one, others))
+        if fan is None:
+            fan = self._fans[one, others] = tuple([self.walks.pair(one, other) for other in others])
+        return fan
 
     def look_out(self, obstacles: Obstacles) -> None:
         """Find out which of the registered points are off the navmesh, and which are inside obstacles."""
@@ -228,7 +258,7 @@ class _Checker:
 
     def _check_stand(self, placed: _Placed, certificate: Certificate) -> None:
         walks = self.walks
-        points = {placed.start}.union(*[leaf.stops + leaf.goals for leaf in placed.leaves])
+        points = {placed.start}.union(*[leaf.stops + leaf.target.points for leaf in placed.leaves])
         off = [walks.positions[p] for p in sorted(points & self._astray)]
         certificate.holds("standable", not off, "on the floor", off)
         islands = {walks.islands[p] for p in points}
@@ -239,37 +269,39 @@ class _Checker:
         certificate.holds("in_the_way", not inside, "free points", inside)
 
     def _check_reach(self, placed: _Leaf, certificate: Certificate, name: str) -> None:
-        leaf = placed.leaf
-        for subgoal in leaf.subgoals:
-            found = self.reach.around(subgoal.object_id, (subgoal.position,))
-            self._check_near(subgoal.object_id, (subgoal.position,), *found, certificate, name)
-        self._check_near(leaf.object_id, leaf.goals, placed.away, placed.here, certificate, name)
-        around = self.reach.half_round(leaf.object_id)
-        if around is not None:
-            walk = min(max(self.walks.metres(ways)) for ways in placed.around)
-            most = around + self.detour_at_goal
-            certificate.holds("goal_side", walk <= most + ROUNDING, most, walk, name)
-        count = self.goals.points
-        certificate.holds("goal_side", len(leaf.goals) <= count, count, len(leaf.goals), name)
+        target = placed.target
+        for one in (*placed.subgoals, target):
+            if one.near is None:
+                one.near = self._judge_reach(one)
+            for verdict in one.near:
+                certificate.holds(*verdict, name)
+        if target.side is None:
+            target.side = self._judge_side(target)
+        for verdict in target.side:
+            certificate.holds(*verdict, name)
 
-    def _check_near(
-        self,
-        object_id: str,
-        positions: Sequence[Point],
-        away: tuple[float, ...],
-        here: tuple[bool, ...],
-        certificate: Certificate,
-        name: str,
-    ) -> None:
-        if not away:
-            certificate.holds("goal_reach", False, object_id, "no such object", name)
-            return
+    def _judge_reach(self, target: _Target) -> list[Verdict]:
+        if not target.away:
+            return [("goal_reach", False, target.object_id, "no such object")]
         # Farther points are used only if no nearer one is walkable, so never both.
-        reach = self.goals.reach if min(away) <= self.goals.reach else self.goals.reach_at_most
-        farthest = max(away)
-        certificate.holds("goal_reach", farthest <= reach + ROUNDING, (object_id, reach), farthest, name)
-        wrong = [] if all(here) else [place for place, good in zip(positions, here, strict=True) if not good]
-        certificate.holds("goal_reach", not wrong, ("on the floor and in the room of", object_id), wrong, name)
+        reach = self.goals.reach if min(target.away) <= self.goals.reach else self.goals.reach_at_most
+        farthest = max(target.away)
+        wrong = [place for place, good in zip(target.places, target.here, strict=True) if not good]
+        return [
+            ("goal_reach", farthest <= reach + ROUNDING, (target.object_id, reach), farthest),
+            ("goal_reach", not wrong, ("on the floor and in the room of", target.object_id), wrong),
+        ]
+
+    def _judge_side(self, target: _Target) -> list[Verdict]:
+        found: list[Verdict] = []
+        half = self.reach.half_round(target.object_id)
+        if half is not None:
+            walk = min(max(self.walks.metres(ways)) for ways in target.around)
+            most = half + self.detour_at_goal
+            found.append(("goal_side", walk <= most + ROUNDING, most, walk))
+        few = len(target.places) <= self.goals.points
+        found.append(("goal_side", few, self.goals.points, len(target.places)))
+        return found
 
     def _check_route(self, row: ManifestEpisode, placed: _Leaf, certificate: Certificate, name: str) -> None:
         leaf, walks = placed.leaf, self.walks
@@ -339,7 +371,12 @@ class _Groups:
 
 
 def _check_budget(
-    row: ManifestEpisode, groups: _Groups, walks: Walks, rules: VerifierRules, certificate: Certificate
+    row: ManifestEpisode,
+    placed: _Placed,
+    groups: _Groups,
+    walks: Walks,
+    rules: VerifierRules,
+    certificate: Certificate,
 ) -> None:
     """Check the step budget against the configuration, the actions of the longest leaf and, if the budget is
     proportional to the text, the number of words.
@@ -349,8 +386,8 @@ def _check_budget(
     if yaw is None:
         return
     steps = 0
-    for k, leaf in enumerate(row.leaves):
-        stops = [*(subgoal.position for subgoal in leaf.subgoals), leaf.goals[_end(leaf)]]
+    for k, leaf in enumerate(placed.leaves):
+        stops = (*[subgoal.places[0] for subgoal in leaf.subgoals], leaf.target.places[leaf.end])
         route = walks.to(row.start_position, yaw, stops)
         certificate.holds("budget", route.arrived, "a walk that arrives", route.outcome, f"leaf {k}")
         steps = max(steps, len(route.actions))

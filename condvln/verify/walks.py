@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,9 +22,9 @@ class Walks:
         self._follower = follower
         self._routes: dict[tuple[Point, float, tuple[Point, ...]], FollowedRoute] = {}
 
-    def to(self, start: Point, yaw: float, stops: Sequence[Point]) -> FollowedRoute:
+    def to(self, start: Point, yaw: float, stops: tuple[Point, ...]) -> FollowedRoute:
         """Return the walk from ``start``, facing ``yaw`` in radians, to each of ``stops`` in turn."""
-        key = (start, yaw, tuple(stops))
+        key = (start, yaw, stops)
         route = self._routes.get(key)
         if route is None:
             route = self._routes[key] = self._follower.follow(start, yaw, stops)
