@@ -6,6 +6,7 @@ import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Final
 
 from condvln.episodes.candidates import Candidate
@@ -119,11 +120,11 @@ def fill_pool(
     if members:
         leaves = [len(c.program.leaves) for group in members.values() for c in group]
         wanted += round(groups * sum(leaves) / len(members))
-    labels = {leaf.goal.label for candidate in queue for leaf in candidate.program.leaves}
-    most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
     number = _Numbers().of_program
     together = [*members.values(), *([c] for c in queue if c.cell is not None)]
     tries = [_Try(group, {number(c.program) for c in group}) for group in together]
+    labels = {label for one in tries for label in one.all_labels}
+    most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
     filling = _Filling(placer, groups, names_compass, observer, cells, move_shares)
     filling.fill(tries, most_of_label)
     filling.trim(tries, label_cap)
@@ -141,9 +142,12 @@ class _Numbers:
 
     def of_program(self, program: Program) -> int:
         """Return the number of a program."""
-        leaves = [tuple(self._of(move) for move in leaf.moves) for leaf in program.leaves]
-        parts = (program.category, self._of(program.branches), *map(self._of, program.conditions), *leaves)
-        return self._by_value.setdefault(parts, len(self._by_value))
+        of, moves = self._of, [leaf.moves for leaf in program.leaves]
+        parts = [of(program.branches), *map(of, program.conditions)]
+        for stops in moves:
+            parts += map(of, stops)
+        key = (program.category, *map(len, moves), *parts)
+        return self._by_value.setdefault(key, len(self._by_value))
 
     def _of(self, part: Hashable) -> int:
         found = self._by_identity.get(id(part))
@@ -156,18 +160,39 @@ class _Try:
     """Candidates that are placed together: a single one, or a counterfactual group (same leaves in different order).
 
     programs : numbers of their programs; equal programs have equal numbers
+    all_labels : target labels of all leaves of all of them
+    moves : how many leaves of the first of them have 1, 2, … moves, as sorted pairs
     refused : reason why they are not placed, so far; placement : that of the first of them, computed once
     """
 
     def __init__(self, members: Sequence[Candidate], programs: set[int]) -> None:
         self.members, self.programs = members, programs
         self.cell = members[0].cell
-        self.gold = members[0].program.gold_leaf()
-        self.labels = [Counter(leaf.goal.label for leaf in member.program.leaves) for member in members]
-        self.moves = Counter(len(leaf.moves) for leaf in members[0].program.leaves)
-        self.targets = sum(self.labels, Counter[str]())
+        self.all_labels = [leaf.moves[-1].label for member in members for leaf in member.program.leaves]
+        self.moves = _counted(tuple([len(leaf.moves) for leaf in members[0].program.leaves]))
         self.refused: str | None = None
         self.placement: Placement | None = None
+
+    @cached_property
+    def gold(self) -> int:
+        """Index of the gold leaf of the first of them."""
+        return self.members[0].program.gold_leaf()
+
+    @cached_property
+    def targets(self) -> Counter[str]:
+        """Number of leaves by target label, of all of them."""
+        return Counter(self.all_labels)
+
+    @property
+    def labels(self) -> list[Counter[str]]:
+        """Number of leaves by target label, of each of them."""
+        return [Counter(leaf.goal.label for leaf in member.program.leaves) for member in self.members]
+
+
+@lru_cache(maxsize=4096)
+def _counted(moves: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of a number of moves and the number of leaves that have it, ascending."""
+    return tuple(sorted(Counter(moves).items()))
 
 
 class _Filling:
@@ -271,7 +296,7 @@ class _Filling:
         cells: dict[InstructionCell | None, dict[tuple[tuple[int, int], ...], deque[_Try]]] = {None: {}}
         for one in tries:
             free = self._move_shares is not None and one.cell is not None and one.cell.moves is None
-            moves = tuple(sorted(one.moves.items())) if free else ()
+            moves = one.moves if free else ()
             cells.setdefault(one.cell, {}).setdefault(moves, deque()).append(one)
         for cell, alike in cells.items():
             while alike:
@@ -333,12 +358,12 @@ class _Filling:
         self._changes += 1
         if one.cell is None:
             self._groups += by
-            for n, count in one.moves.items():
+            for n, count in one.moves:
                 self._group_moves[one.members[0].program.category][n] += by * count * len(one.members)
         else:
             self._taken[one.cell] += by
             self._golds[one.cell][one.gold] += by
-            for n, count in one.moves.items():
+            for n, count in one.moves:
                 self._moves[one.cell][n] += by * count
         if by > 0:
             self._labels += one.targets
