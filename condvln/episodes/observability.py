@@ -23,7 +23,7 @@ from condvln.episodes.view import SceneView
 from condvln.instructions.referents import things_meant
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.navigation.sight import SightTarget, View, eyes_at, in_view
+from condvln.navigation.sight import Look, SightTarget, View, eyes_at, in_view
 from condvln.scene import Scene, SceneObject
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.config import EpisodeConfig, PlacesConfig
@@ -112,46 +112,51 @@ class Observer:
         }
         self._front = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         self._targets: dict[SightNeed, SightTarget | None] = {}
-        self._seen: dict[tuple[SightNeed, bytes], Bools] = {}
+        self._seen: dict[SightNeed, dict[bytes, Bools]] = {}
+        self._evidence: dict[int, _Evidence] = {}
 
     def observe(self, placed: Sequence[tuple[Program, Outlook]]) -> list[Observation]:
         """Return the observation of each placed program, in order."""
         asked = [
-            {k: self.needs(program.conditions[k]) for k in sorted(set(program.route()[0]))} for program, _ in placed
+            [(k, self._evidence_of(program.conditions[k])) for k in sorted(set(program.route()[0]))]
+            for program, _ in placed
         ]
-        starts = [eyes_at(outlook.start, self._places.eye_height) for _, outlook in placed]
-        self._look(
-            (target, eye)
-            for needs, eye in zip(asked, starts, strict=True)
-            for ways in needs.values()
-            for target in _all(ways)
-        )
-        at_start = [
-            {k: self._known(ways, eye) for k, ways in needs.items()} for needs, eye in zip(asked, starts, strict=True)
-        ]
+        starts = [_Eyes(eyes_at(outlook.start, self._places.eye_height)) for _, outlook in placed]
+        self._look((name, eye) for needs, eye in zip(asked, starts, strict=True) for _, of in needs for name in of.all)
+        at_start = [[self._known(of.ways, eye) for _, of in needs] for needs, eye in zip(asked, starts, strict=True)]
+        # Only what is not known at the start is looked for on the way.
         paths = [
-            np.concatenate([eye, self._eyes_on_the_way(outlook)])
-            for (_, outlook), eye in zip(placed, starts, strict=True)
+            eye if all(known) else self._eyes_on_the_way(outlook)
+            for (_, outlook), eye, known in zip(placed, starts, at_start, strict=True)
         ]
         self._look(
-            (target, path)
+            (name, path)
             for needs, known, path in zip(asked, at_start, paths, strict=True)
-            for k, ways in needs.items()
-            if not known[k]
-            for target in _all(ways)
+            for (_, of), seen in zip(needs, known, strict=True)
+            if not seen
+            for name in of.all
         )
         found = []
         for (_, outlook), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
             evidence = []
-            for k, ways in needs.items():
-                level: Observability = "O0" if known[k] else "O1" if self._known(ways, path) else "O2"
-                evidence.append(ConditionEvidence(k, level, known[k] and self._known(ways, eye, outlook.yaw)))
+            for (k, of), seen in zip(needs, known, strict=True):
+                level: Observability = "O0" if seen else "O1" if self._known(of.ways, path) else "O2"
+                evidence.append(ConditionEvidence(k, level, seen and self._known(of.ways, eye, outlook.yaw)))
             found.append(Observation(tuple(evidence), self._view.approximate))
         return found
 
-    def _eyes_on_the_way(self, outlook: Outlook) -> F64:
+    def _eyes_on_the_way(self, outlook: Outlook) -> _Eyes:
         prefix = common_prefix(outlook.paths)
-        return eyes_at(spaced_points(prefix, EYE_SPACING)[1:], self._places.eye_height)
+        points = spaced_points(prefix, EYE_SPACING)
+        points[0] = outlook.start
+        return _Eyes(eyes_at(points, self._places.eye_height))
+
+    def _evidence_of(self, condition: Condition) -> _Evidence:
+        """Return what `needs` returns, found once for each condition of the scene."""
+        found = self._evidence.get(id(condition))
+        if found is None:
+            found = self._evidence[id(condition)] = _Evidence(condition, self.needs(condition))
+        return found
 
     def needs(self, condition: Condition) -> _Needs:
         """Return alternative sets of sight targets. To know a condition's truth, an agent must see all targets of at
@@ -188,45 +193,60 @@ class Observer:
                 self._targets[name] = SightTarget(points) if len(points) else None
         return self._targets[name]
 
-    def _look(self, wanted: Iterable[tuple[SightNeed, F64]]) -> None:
-        """Compute and cache the wanted lines of sight that are not cached yet; all lines to one target are computed
-        together.
-        """
-        eyes: dict[SightNeed, dict[bytes, F64]] = {}
-        for name, places in wanted:
-            for eye in places:
-                key = eye.tobytes()
-                if (name, key) not in self._seen:
-                    eyes.setdefault(name, {})[key] = eye
-        for name, places_of in eyes.items():
-            target = self.target(name)
-            if target is None:
-                continue
-            seen = self._view.seen(np.array(list(places_of.values())), target, self.around[name[0]])
-            self._seen.update({(name, key): row for key, row in zip(places_of, seen, strict=True)})
+    def _look(self, wanted: Iterable[tuple[SightNeed, _Eyes]]) -> None:
+        """Compute and cache the wanted lines of sight that are not cached yet, all together."""
+        new: dict[SightNeed, dict[bytes, F64]] = {}
+        for name, eyes in wanted:
+            known, added = self._seen.setdefault(name, {}), new.setdefault(name, {})
+            for key, place in zip(eyes.keys, eyes.places, strict=True):
+                if key not in known:
+                    added[key] = place
+        looks, keys = list[Look](), list[tuple[SightNeed, dict[bytes, F64]]]()
+        for name, places in new.items():
+            target = self.target(name) if places else None
+            if target is not None:
+                looks.append(Look(np.array(list(places.values())), target, self.around[name[0]]))
+                keys.append((name, places))
+        for (name, places), seen in zip(keys, self._view.seen_by_each(looks), strict=True):
+            self._seen[name].update(zip(places, seen, strict=True))
 
-    def _known(self, ways: _Needs, eyes: F64, yaw: float | None = None) -> bool:
+    def _known(self, ways: _Needs, eyes: _Eyes, yaw: float | None = None) -> bool:
         """Return whether a condition's truth can be known from the `eyes`. Each of the `ways` is a set of evidence that
         suffices to know the truth; all evidence of at least one set must be visible. With a `yaw`, only the view
         straight ahead counts.
         """
         return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
 
-    def _is_seen(self, name: SightNeed, eyes: F64, yaw: float | None) -> bool:
+    def _is_seen(self, name: SightNeed, eyes: _Eyes, yaw: float | None) -> bool:
         target = self.target(name)
         if target is None:
             return False
-        seen = self._seen[name, eyes[0].tobytes()]
-        if len(eyes) > 1:
-            seen = np.any([self._seen[name, eye.tobytes()] for eye in eyes], axis=0)
+        rows = self._seen[name]
+        seen = rows[eyes.keys[0]]
+        if len(eyes.keys) > 1:
+            seen = np.logical_or.reduce([rows[key] for key in eyes.keys])
         if yaw is not None:
-            seen = seen & in_view(eyes, target.samples, self._front, [yaw])[0]
+            seen = seen & in_view(eyes.places, target.samples, self._front, [yaw])[0]
         least = self._rules.floor_seen if name[0] == "floor" else self._rules.object_seen
         return bool(len(seen) and np.count_nonzero(seen) / len(seen) >= least)
 
 
-def _all(ways: _Needs) -> list[SightNeed]:
-    return sorted(frozenset().union(*ways))
+class _Eyes:
+    """Places (n, 3) of eyes in metres, and a key of each."""
+
+    def __init__(self, places: F64) -> None:
+        raw, size = places.tobytes(), places.itemsize * 3
+        self.places = places
+        self.keys = [raw[k : k + size] for k in range(0, len(raw), size)]
+
+
+class _Evidence:
+    """The sets of targets that reveal the truth of a condition, which is kept so that its identity stays its own, and
+    all of these targets.
+    """
+
+    def __init__(self, condition: Condition, ways: _Needs) -> None:
+        self.condition, self.ways, self.all = condition, ways, sorted(frozenset().union(*ways))
 
 
 def common_prefix(paths: Sequence[F64]) -> F64:

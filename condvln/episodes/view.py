@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
-from condvln.navigation.sight import SightTarget, View, in_view, visible_points
+from condvln.navigation.sight import Look, SightTarget, View, in_view, visible_points, visible_to_each
 from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
@@ -117,6 +117,16 @@ class SceneView:
         any direction.
         """
         return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
+
+    def seen_by_each(self, looks: Sequence[Look]) -> Iterator[Bools]:
+        """Yield for each look, in any direction, the mask (n, k) that `seen` returns."""
+        begin = end = count = 0
+        while begin < len(looks):
+            while end < len(looks) and (end == begin or count < LOOKS_AT_ONCE):
+                count += len(looks[end].eyes) * len(looks[end].target.samples)
+                end += 1
+            yield from visible_to_each(self._occluders, looks[begin:end])
+            begin, count = end, 0
 
     def sighted(self, eyes: F64, targets: Sequence[SightTarget], view: View) -> Iterator[tuple[Bools, Bools]]:
         """Yield for each of the `targets` two masks: which of the `eyes` (n, 3) see any of its k samples (n,), and

@@ -9,15 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from condvln.compiled import register_warm_up
+from condvln.navigation.kernels.lines import lines_in_range
 from condvln.navigation.occluders import Flags, Occluders, Points
 from schemas.errors import UsageError
 
 __all__ = [
     "EYE_HEIGHT",
+    "Look",
     "SightTarget",
     "View",
     "eyes_at",
@@ -25,6 +30,7 @@ __all__ = [
     "in_view",
     "visible_points",
     "visible_shares",
+    "visible_to_each",
 ]
 
 EYE_HEIGHT = 1.25
@@ -123,6 +129,48 @@ def visible_points(
     return visible
 
 
+class Look(NamedTuple):
+    """Eyes (n, 3) in metres that look for a target in any direction."""
+
+    eyes: Points
+    target: SightTarget
+    view: View
+
+
+def visible_to_each(occluders: Occluders, looks: Sequence[Look]) -> list[Flags]:
+    """Return for each look a mask (n, k): whether each of its n eyes sees each of the k samples of its target. The
+    masks are those of :func:`visible_points`; the lines of all looks are tested together.
+
+    Raises
+    ------
+    UsageError : a view needs headings
+    """
+    if any(view.needs_heading for _, _, view in looks):
+        raise UsageError("a look in any direction can't have a limited field of view")
+    first_eye = np.cumsum([0, *(len(eyes) for eyes, _, _ in looks)], dtype=np.int64)
+    first_point = np.cumsum([0, *(len(target.samples) for _, target, _ in looks)], dtype=np.int64)
+    eyes, points = (
+        np.concatenate([np.empty((0, 3)), *parts], dtype=np.float64)
+        for parts in ([look.eyes for look in looks], [look.target.samples for look in looks])
+    )
+    reach = np.array([view.range**2 for _, _, view in looks], np.float64)
+    line, eye, point = lines_in_range(eyes, points, first_eye, first_point, reach)
+    begin, end = eyes[eye], points[point]
+    if any(view.pitch is not None for _, _, view in looks):
+        steepest = [math.inf if view.pitch is None else math.tan(math.radians(view.pitch)) for _, _, view in looks]
+        slope = np.repeat(steepest, np.diff(first_eye))[eye]
+        x, y, z = (end - begin).T
+        with np.errstate(invalid="ignore"):  # straight up or down, without a limit: 0 times infinity
+            kept = np.isinf(slope) | (np.abs(y) <= np.hypot(x, z) * slope)
+        line, point, begin, end = line[kept], point[kept], begin[kept], end[kept]
+    own = np.concatenate([np.empty(0, np.int64), *(target.owners for _, target, _ in looks)])[point]
+    sizes = np.diff(first_eye) * np.diff(first_point)
+    visible = np.zeros(int(sizes.sum()), bool)
+    visible[line[~occluders.hidden(begin, end, own)]] = True
+    parts = pairwise(np.cumsum([0, *sizes]).tolist())
+    return [visible[i:j].reshape(len(look.eyes), -1) for look, (i, j) in zip(looks, parts, strict=True)]
+
+
 def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
     """Return a mask (n, m): whether each of m points is in the range and field of view of each of n eyes. Occluders are
     ignored.
@@ -193,3 +241,10 @@ def first_sights(
     if not len(seen):
         return np.full(len(targets), -1, np.int64)
     return np.where(seen.any(axis=0), seen.argmax(axis=0), -1)
+
+
+def _warm_up() -> None:
+    lines_in_range(np.eye(3), np.eye(3), np.array([0, 3]), np.array([0, 3]), np.ones(1))
+
+
+register_warm_up("lines of sight in range", _warm_up)
