@@ -14,7 +14,7 @@ import hashlib
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import combinations, islice, repeat
+from itertools import chain, islice, repeat
 from typing import Any, Final
 
 import numpy as np
@@ -27,7 +27,8 @@ from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
 from condvln.instructions.stagings import ByConditions, Statement, even_factors
-from condvln.instructions.statements import anchor_key, statement_truths
+from condvln.instructions.statement_counts import STATEMENT, StatementCounts
+from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
@@ -68,7 +69,7 @@ LAYOUTS_KEPT: Final = 8
 MERGE_ROWS: Final = 200_000
 """Number of rows collected before they are summed: limits memory without summing for every scene."""
 
-_KEYS: Final = ("layout", "staging", "room_type", "label", "predicate", "anchor", "definite")
+_KEYS: Final = ("layout", "staging", *STATEMENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +106,16 @@ class PriorBits:
         """Return these priors as sorted JSON. Instead of the rate at which each statement is true, the JSON holds one
         hash of all these rates. Equal priors give equal bytes.
         """
-        rates: list[tuple[object, ...]] = [
-            (*key, round(RATE_STEPS * t / (t + f))) for key, (t, f) in sorted(self.counts.items())
+        counts, weights = sorted(self.counts.items()), sorted(self.label_weights.items())
+        seen = np.fromiter(chain.from_iterable(both for _, both in counts), np.float64).reshape(-1, 2)
+        steps = np.rint(RATE_STEPS * (seen[:, 0] / seen.sum(axis=1))).astype(np.int64).tolist()
+        factors = np.array([both for _, both in weights], dtype=np.float64).reshape(-1, 2)
+        rates: list[tuple[object, ...]] = [(*key, step) for (key, _), step in zip(counts, steps, strict=True)]
+        rates += [
+            (*key, *both)
+            for (key, _), both in zip(weights, np.rint(RATE_STEPS * factors).astype(np.int64).tolist(), strict=True)
         ]
-        rates += [(*key, *(round(RATE_STEPS * f) for f in both)) for key, both in sorted(self.label_weights.items())]
-        rates += [(*key, *factors) for key, factors in sorted(self.even.items())]
+        rates += [(*key, *both) for key, both in sorted(self.even.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
@@ -190,16 +196,9 @@ class LabelPriors:
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
-        held = pc.is_in(self._counts["label"], pa.array([*seen, ""], pa.string()))
-        anchors = [*seen, "", *(anchor_key(pair) for pair in combinations(seen, 2))]
-        related = pc.and_(held, pc.is_in(self._counts["anchor"], pa.array(anchors, pa.string())))
-        if scene.single_room:
-            related = pc.or_(related, pc.equal(self._counts["predicate"], ""))
-        read = pc.and_(pc.is_in(self._counts["room_type"], pa.array(types, pa.string())), related)
-        rows = self._counts.filter(read)
-        pooled = _by_statement(rows)
+        pooled = self._statements.about(types, seen, all_present=scene.single_room)
         layout = layout_of(scene.scene_id)
-        own = _by_statement(rows.filter(pc.equal(rows["layout"], layout))) if layout else {}
+        own = _of_layout(self, layout).about(types, seen, all_present=scene.single_room) if layout else {}
         rooms = {t: pooled.pop((t, "", "", "", False), (0, 0))[0] for t in types}
         presence = {(t, x): n for (t, x, predicate, *_), (n, _) in pooled.items() if not predicate}
         plausible = {key for key, n in presence.items() if n >= plausible_share * rooms[key[0]]}
@@ -228,11 +227,20 @@ class LabelPriors:
         """Return the weights of a scene's labels; see `PriorBits`. They come from counts of statements with any anchor,
         even anchors that the scene lacks.
         """
-        read = pc.and_(
-            pc.is_in(self._counts["room_type"], pa.array(sorted(types), pa.string())),
-            pc.is_in(self._counts["label"], pa.array(labels, pa.string())),
-        )
-        return label_weights(self._counts.filter(pc.and_(read, pc.not_equal(self._counts["predicate"], ""))))
+        found = self._weights
+        return {form: both for t in sorted(types) for x in labels for form, both in found.get((t, x), {}).items()}
+
+    @cached_property
+    def _statements(self) -> StatementCounts:
+        return StatementCounts(self._counts)
+
+    @cached_property
+    def _weights(self) -> dict[tuple[str, str], dict[LabelForm, tuple[float, float]]]:
+        """The weights of all labels, by room type and label."""
+        grouped: dict[tuple[str, str], dict[LabelForm, tuple[float, float]]] = {}
+        for form, both in label_weights(self._counts.filter(pc.not_equal(self._counts["predicate"], ""))).items():
+            grouped.setdefault(form[:2], {})[form] = both
+        return grouped
 
     def _even(
         self,
@@ -274,12 +282,11 @@ def _factors(
     return even_factors(priors.about(layout, staged, asked), dict(weights))
 
 
-def _by_statement(rows: pa.Table) -> dict[Statement, tuple[int, int]]:
-    """Return the counts of each statement, summed over layouts and stagings, in the order of their first rows."""
-    # Without threads, since only then the groups keep the order of the rows.
-    sums = rows.group_by(list(_KEYS[2:]), use_threads=False).aggregate([("n_true", "sum"), ("n_false", "sum")])
-    columns = [sums[name].to_pylist() for name in (*_KEYS[2:], "n_true_sum", "n_false_sum")]
-    return dict(zip(zip(*columns[:5], strict=True), zip(*columns[5:], strict=True), strict=True))
+@lru_cache(maxsize=LAYOUTS_KEPT)
+def _of_layout(priors: LabelPriors, layout: str) -> StatementCounts:
+    """Return the counts of statements about the stagings of one layout."""
+    rows = priors.table()
+    return StatementCounts(rows.filter(pc.equal(rows["layout"], layout)))
 
 
 def _summed(parts: Sequence[pa.Table]) -> pa.Table:

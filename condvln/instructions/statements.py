@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,12 @@ from condvln.labels import Vocabulary
 from condvln.labels.roles import labels_with_role
 from schemas.program import Predicate
 
-__all__ = ["StatementTruths", "anchor_key", "statement_truths"]
+__all__ = ["ANCHOR_JOINT", "StatementTruths", "anchor_key", "statement_truths"]
 
 Bools = NDArray[np.bool_]
+
+ANCHOR_JOINT: Final = " + "
+"""Stands between the labels in the key of a statement's anchors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,7 @@ class StatementTruths:
 
 def anchor_key(labels: Iterable[str]) -> str:
     """Return the key of a statement's anchors: their labels, sorted and joined."""
-    return " + ".join(sorted(labels))
+    return ANCHOR_JOINT.join(sorted(labels))
 
 
 def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[StatementTruths]:

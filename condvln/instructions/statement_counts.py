@@ -1,0 +1,93 @@
+"""Counts of statements over rooms, encoded so that those about one scene are found quickly."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Final, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from condvln.instructions.stagings import Statement
+from condvln.instructions.statements import ANCHOR_JOINT
+
+__all__ = ["STATEMENT", "StatementCounts"]
+
+STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
+"""Columns that tell statements apart."""
+
+Counts: TypeAlias = dict[Statement, tuple[int, int]]
+
+
+class StatementCounts:
+    """Counts of statements, summed over layouts and stagings, in the order of the statements.
+
+    Texts are kept as numbers: which statements are about a scene is then decided for each distinct text, and the rest
+    is a few array operations for all statements.
+    """
+
+    def __init__(self, rows: pa.Table) -> None:
+        """Sum `rows`, a table of schema ``PRIORS``."""
+        sums = rows.group_by(list(STATEMENT)).aggregate([("n_true", "sum"), ("n_false", "sum")])
+        sums = sums.sort_by([(name, "ascending") for name in STATEMENT]).combine_chunks()
+        self._types, self._labels, self._predicates, self._anchors = (_Coded(sums[name]) for name in STATEMENT[:4])
+        self._definite, self._true, self._false = (
+            sums[name].to_numpy() for name in ("definite", "n_true_sum", "n_false_sum")
+        )
+        pairs = [(at, *both) for at, text in enumerate(self._anchors.texts) for both in _halves(text)]
+        words = sorted({word for _, *both in pairs for word in both})
+        number = {word: at for at, word in enumerate(words)}
+        self._words = words
+        self._pairs = np.array(
+            [(at, number[one], number[two]) for at, one, two in pairs if one < two], dtype=np.int64
+        ).reshape(-1, 3)
+        """Rows of (anchors of a statement, the one word of theirs, the other), as numbers."""
+
+    def about(self, types: Collection[str], labels: Collection[str], *, all_present: bool = False) -> Counts:
+        """Return the numbers of rooms in which each statement is true and false, of the statements about rooms of
+        `types` in which all words are in `labels`.
+
+        all_present : also those that any label is present
+        """
+        words = {*labels, ""}
+        known = _among(self._words, {*labels})
+        anchor = _among(self._anchors.texts, words)
+        anchor[self._pairs[known[self._pairs[:, 1]] & known[self._pairs[:, 2]], 0]] = True
+        read = _among(self._labels.texts, words)[self._labels.numbers] & anchor[self._anchors.numbers]
+        if all_present:
+            read |= _among(self._predicates.texts, {""})[self._predicates.numbers]
+        read &= _among(self._types.texts, {*types})[self._types.numbers]
+        rows = np.flatnonzero(read)
+        texts = (column.of(rows) for column in (self._types, self._labels, self._predicates, self._anchors))
+        statements = zip(*texts, self._definite[rows].tolist(), strict=True)
+        return dict(
+            zip(statements, zip(self._true[rows].tolist(), self._false[rows].tolist(), strict=True), strict=True)
+        )
+
+
+class _Coded:
+    """A column of texts: its distinct texts, and their numbers (n,)."""
+
+    def __init__(self, column: pa.ChunkedArray) -> None:
+        coded = pc.dictionary_encode(
+            pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], pa.string())
+        )
+        self.texts: list[str] = coded.dictionary.to_pylist()
+        self.numbers: NDArray[np.int32] = coded.indices.to_numpy()
+
+    def of(self, rows: NDArray[np.intp]) -> list[str]:
+        """Return the texts of some rows."""
+        return [*map(self.texts.__getitem__, self.numbers[rows].tolist())]
+
+
+def _among(texts: Sequence[str], wanted: Collection[str]) -> NDArray[np.bool_]:
+    """Return which of `texts` are wanted, (n,)."""
+    return np.fromiter((text in wanted for text in texts), bool, len(texts))
+
+
+def _halves(text: str) -> list[tuple[str, str]]:
+    """Return all ways to read the key of two anchors: one, as long as no label holds the joint itself."""
+    parts = text.split(ANCHOR_JOINT)
+    return [(ANCHOR_JOINT.join(parts[:k]), ANCHOR_JOINT.join(parts[k:])) for k in range(1, len(parts))]
