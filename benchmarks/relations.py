@@ -71,7 +71,7 @@ def vectorised(room: RoomArrays) -> tuple[RoomRelations, TextFacts]:
 
 
 def with_meshes(room: RoomArrays) -> tuple[RoomRelations, TextFacts]:
-    """Compute relations as the product does, with surface distances by FCL on meshes."""
+    """Compute relations as the product does, with surface distances of meshes."""
     relations = relate_room(room, T, meshes_of(room))
     return relations, text_facts(relations, T)
 
@@ -108,7 +108,7 @@ def one_pair_at_a_time(room: RoomArrays) -> list[Edge]:
 
 
 def one_pair_at_a_time_with_meshes(room: RoomArrays) -> list[Edge]:
-    """Compute the same relations in plain Python; each pair within reach asks FCL, and hierarchies are built once."""
+    """Compute the same relations in plain Python; each pair within reach is measured, and trees are built once."""
     mesh = meshes_of(room)
     solids = [MeshSolid(mesh(item)) for item in room.objects]
     boxes = [
@@ -276,7 +276,7 @@ def main() -> None:
         check_same(room)
         ways = (one_pair_at_a_time, vectorised, one_pair_at_a_time_with_meshes, with_meshes)
         speeds = pairs_per_second(ways, room)
-        for name, (loop, arrays) in {"boxes": speeds[:2], "meshes by FCL": speeds[2:]}.items():
+        for name, (loop, arrays) in {"boxes": speeds[:2], "meshes": speeds[2:]}.items():
             print(f"{name:<16} {count:>10} {loop:>14,.0f} {arrays:>14,.0f} {arrays / loop:>7.1f}x")
 
 

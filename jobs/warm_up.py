@@ -29,6 +29,7 @@ KERNEL_MODULES: Final = {
     "ways of episodes": "condvln.episodes.routes",
     "starts of episodes": "condvln.episodes.starts",
     "beginnings of paths": "condvln.episodes.kernels.prefix",
+    "distances of meshes": "condvln.relations.triangle_trees",
     "json scan": "condvln.formats.json_scan",
     "looks of the verifier": "condvln.verify.kernels.looking",
     "gaps between leaves": "condvln.verify.kernels.separation",

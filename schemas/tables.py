@@ -188,7 +188,7 @@ RELATIONS: Final = pa.schema(
         _field(
             "surface_distance",
             _F,
-            "distance between the surfaces (FCL on meshes or oriented boxes), metres; null beyond "
+            "distance between the surfaces (of meshes or oriented boxes), metres; null beyond "
             "`thresholds.surface_within` and where an extent is unknown",
         ),
         _field("used_distance", _F, "distance that decides near and far, metres"),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Final
+from typing import Final
 
-import fcl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -14,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from condvln.formats.glb import GlbGeometry
 from condvln.relations.box_distances import SIGNS
+from condvln.relations.triangle_trees import TriangleTree, tree_order
 from condvln.scene import SceneObject
 from condvln.scene.meshes import WorldMesh
 
@@ -49,28 +49,13 @@ _WINDING_CHUNK: Final = 1 << 20
 
 
 ASSETS_KEPT: Final = 256
-"""Number of assets whose bounding volume hierarchies are cached; real assets have 1 MB each or less."""
-
-
-def _bvh(vertices: F64, faces: NDArray[np.int32]) -> Any:
-    model = fcl.BVHModel()
-    model.beginModel(len(vertices), len(faces))
-    model.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.int64))
-    model.endModel()
-    return model
+"""Number of assets whose faces are kept in the order of their tree; real assets have 100 kB each or less."""
 
 
 @lru_cache(maxsize=ASSETS_KEPT)
-def _bvh_of(asset: GlbGeometry) -> Any:
-    """Return the bounding volume hierarchy of an asset in its own frame. All scenes that contain the asset share it."""
-    return _bvh(asset.vertices, asset.faces)
-
-
-@lru_cache(maxsize=ASSETS_KEPT)
-def _used_vertices(asset: GlbGeometry) -> NDArray[np.intp] | None:
-    """Return the vertices (u,) of an asset that faces use; None if all are used."""
-    used = np.unique(asset.faces)
-    return None if len(used) == len(asset.vertices) else used.astype(np.intp)
+def _ordered_faces(asset: GlbGeometry) -> NDArray[np.int32]:
+    """Return the faces (m, 3) of an asset in the order of their tree. All scenes that contain the asset share it."""
+    return asset.faces[tree_order(asset.vertices[asset.faces])]
 
 
 @lru_cache(maxsize=ASSETS_KEPT)
@@ -108,14 +93,9 @@ class BoxSolid:
         return corners
 
     @cached_property
-    def extent(self) -> F64:
-        """(2, 3) [min, max] of the corners."""
-        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
-
-    @cached_property
-    def surface(self) -> Any:
+    def surface(self) -> TriangleTree:
         """The surface as 12 triangles, for distances to meshes."""
-        return fcl.CollisionObject(_bvh(self.vertices, _BOX_FACES))
+        return TriangleTree.of(self.vertices[_BOX_FACES])
 
     @property
     def has_inside(self) -> bool:
@@ -140,20 +120,13 @@ class MeshSolid:
     mesh: WorldMesh
 
     @cached_property
-    def extent(self) -> F64:
-        """(2, 3) [min, max] of the vertices that faces use."""
+    def surface(self) -> TriangleTree:
+        """The triangles as a tree."""
         mesh = self.mesh
-        chosen = np.unique(mesh.faces) if mesh.asset is None else _used_vertices(mesh.asset)
-        used = mesh.vertices if chosen is None else mesh.vertices[chosen]
-        return np.array([used.min(axis=0), used.max(axis=0)])
-
-    @cached_property
-    def surface(self) -> Any:
-        """The triangles as a bounding volume hierarchy."""
-        if self.mesh.asset is None or self.mesh.pose is None:
-            return fcl.CollisionObject(_bvh(self.mesh.vertices, self.mesh.faces))
-        pose = fcl.Transform(self.mesh.pose[:3, :3], self.mesh.pose[:3, 3])
-        return fcl.CollisionObject(_bvh_of(self.mesh.asset), pose)
+        if mesh.asset is not None:
+            return TriangleTree.of(mesh.vertices[_ordered_faces(mesh.asset)])
+        triangles = mesh.vertices[mesh.faces]
+        return TriangleTree.of(triangles[tree_order(triangles)])
 
     @property
     def has_inside(self) -> bool:
@@ -177,8 +150,8 @@ class MeshSolid:
         inside = np.zeros(len(points), dtype=np.bool_)
         if not self.mesh.watertight:
             return inside
-        triangles = self.mesh.vertices[self.mesh.faces]
-        low, high = self.extent
+        triangles = self.surface.triangles
+        low, high = self.surface.extent
         candidates = np.nonzero(((points >= low) & (points <= high)).all(axis=-1))[0]
         step = max(1, _WINDING_CHUNK // len(triangles))
         for start in range(0, len(candidates), step):
@@ -194,16 +167,9 @@ class CompoundSolid:
     parts: tuple[BoxSolid, ...]
 
     @cached_property
-    def extent(self) -> F64:
-        """(2, 3) [min, max] of all corners."""
-        ends = np.array([part.extent for part in self.parts])
-        return np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
-
-    @cached_property
-    def surface(self) -> Any:
+    def surface(self) -> TriangleTree:
         """The surfaces of all parts, 12 triangles each."""
-        faces = [_BOX_FACES + 8 * k for k in range(len(self.parts))]
-        return fcl.CollisionObject(_bvh(np.concatenate([part.vertices for part in self.parts]), np.concatenate(faces)))
+        return TriangleTree.of(np.concatenate([part.surface.triangles for part in self.parts]))
 
     @property
     def has_inside(self) -> bool:

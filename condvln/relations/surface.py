@@ -1,11 +1,10 @@
-"""Surface distances of objects whose boxes are close. Boxes are measured in closed form, meshes with FCL."""
+"""Surface distances of objects whose boxes are close. Boxes are measured in closed form, meshes by their triangles."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Final
 
-import fcl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +20,8 @@ F64 = NDArray[np.float64]
 MeshOf = Callable[[SceneObject], WorldMesh | None]
 """Returns an object's mesh in the scene's frame, or None if it has none, e.g. `MeshLibrary.world_mesh`."""
 
-_REQUEST: Final = fcl.DistanceRequest()
+TOUCHING: Final = 1e-9
+"""Metres at most between surfaces that touch; far below the millimetre that is published."""
 
 
 def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, meshes: MeshOf | None) -> F64:
@@ -68,21 +68,23 @@ def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, mes
 def solid_distance(first: Solid, second: Solid) -> float:
     """Return the distance of two solids in metres; 0 where they overlap or one contains a piece of the other.
 
-    FCL's bounding volume hierarchies know surfaces only and give the gap between an object and the box that it lies in,
-    so containment is tested separately. FCL's distance of two coplanar triangles is sometimes wrongly 0, so the
-    distance of the solids' axis-aligned boxes is used as a lower bound.
+    Between an object and the box that it lies in, surfaces have a gap, so containment is tested separately.
     """
     if isinstance(first, BoxSolid) and isinstance(second, BoxSolid):
         return float(_between_boxes([first], [second])[0])
-    apart = np.maximum(first.extent[0] - second.extent[1], second.extent[0] - first.extent[1])
-    gap = float(np.linalg.norm(np.maximum(apart, 0.0)))
-    distance = max(float(fcl.distance(first.surface, second.surface, _REQUEST, fcl.DistanceResult())), gap)
-    if distance == 0.0 or gap > 0.0:
+    distance = first.surface.distance(second.surface)
+    if distance <= TOUCHING or _are_apart(first.surface.extent, second.surface.extent):
         return distance
     for one, other in ((first, second), (second, first)):
         if one.has_inside and one.contains(other.pieces).any():
             return 0.0
     return distance
+
+
+def _are_apart(one: F64, other: F64) -> bool:
+    """Return whether two boxes (2, 3) have a gap between them."""
+    (low, high), (other_low, other_high) = one.tolist(), other.tolist()
+    return any(low[k] > other_high[k] or other_low[k] > high[k] for k in range(3))
 
 
 def _between_boxes(first: Sequence[BoxSolid], second: Sequence[BoxSolid]) -> F64:

@@ -27,6 +27,8 @@ TECHNICAL = {
     # Arithmetic: slack for rounding, and bounds of what is equal.
     "relations/solids.py": {"AXIS_TOLERANCE", "_WINDING_CHUNK", "ASSETS_KEPT"},
     "relations/box_distances.py": {"PARALLEL", "PAIRS_AT_ONCE"},
+    "relations/surface.py": {"TOUCHING"},
+    "relations/triangle_trees.py": {"SAME", "DEEPEST"},
     "relations/metrics.py": {"MILLIMETRES_PER_METRE"},
     "relations/compass.py": {"SECTOR_DEGREES", "COINCIDENT"},
     "relations/bearing.py": {"SLACK"},

@@ -119,7 +119,7 @@ def test_a_shared_shape_gives_the_distances_of_its_triangles(scale: float) -> No
             MeshSolid(WorldMesh(placed, faces, True)),
         )
         box = BoxSolid(rng.uniform(-1, 1, 3), rng.uniform(0.01, 0.3, 3), Rotation.random(rng=rng).as_matrix())
-        np.testing.assert_array_equal(shared.extent, alone.extent)
+        np.testing.assert_array_equal(shared.surface.extent, alone.surface.extent)
         assert len(shared.pieces) == len(alone.pieces) == 2
         assert solid_distance(shared, box) == pytest.approx(solid_distance(alone, box), abs=1e-12)
         assert solid_distance(box, shared) == pytest.approx(solid_distance(box, alone), abs=1e-12)
@@ -163,7 +163,7 @@ def test_the_best_known_geometry_stands_for_an_object(make: Callable[..., SceneO
     assert isinstance(solid_of(turned, aabb, triangle), MeshSolid)
     assert isinstance(solid_of(turned, aabb, nothing), BoxSolid)
     assert isinstance(solid_of(item, aabb, None), BoxSolid)
-    np.testing.assert_array_equal(solid_of(item, aabb, None).extent, aabb)
+    np.testing.assert_array_equal(solid_of(item, aabb, None).surface.extent, aabb)
     assert not is_its_aabb(turned, None)
     assert not is_its_aabb(item, triangle)
     assert is_its_aabb(item, nothing)
@@ -175,7 +175,7 @@ def test_a_box_turned_by_right_angles_is_axis_aligned(
 ) -> None:
     half = np.array([0.1, 0.2, 0.3])
     box = BoxSolid(np.array([1.0, 2.0, 3.0]), half, -EYE[:, axes])
-    np.testing.assert_allclose(box.extent[1] - box.extent[0], 2 * half[np.argsort(axes)], atol=1e-12)
+    np.testing.assert_allclose(box.surface.extent[1] - box.surface.extent[0], 2 * half[np.argsort(axes)], atol=1e-12)
     item = make("a", box.center, half[np.argsort(axes)])
     assert is_its_aabb(replace(item, obb=OrientedBox(box.center, half, box.rotation)), None)
 
