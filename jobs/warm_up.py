@@ -32,6 +32,7 @@ KERNEL_MODULES: Final = {
     "distances of meshes": "condvln.relations.triangle_trees",
     "json scan": "condvln.formats.json_scan",
     "looks of the verifier": "condvln.verify.kernels.looking",
+    "paths that part": "condvln.verify.kernels.parting",
     "gaps between leaves": "condvln.verify.kernels.separation",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""

@@ -7,17 +7,17 @@ metres.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.verify.geodesics import Point
+from condvln.verify.kernels.parting import places_along, shared_lengths
 from schemas.config.constants import EYE_SPACING, PREFIX_SAMPLES, PREFIX_STRAY
 
-__all__ = ["shared_length", "stands"]
+__all__ = ["stands"]
 
 F64 = NDArray[np.float64]
 EVEN: Final = 1e-6
@@ -26,49 +26,29 @@ rounded.
 """
 
 
-def stands(paths: Sequence[F64]) -> list[F64]:
-    """Return the positions (n, 3), the start first, at which the agent looks around before the paths diverge.
+def stands(episodes: Sequence[Sequence[Sequence[Point]]]) -> list[list[F64]]:
+    """Return for each episode, given by the paths of its leaves, the positions (n, 3), the start first, at which the
+    agent looks around before the paths diverge.
 
     If the shared length is a multiple of `EYE_SPACING` up to rounding, there are two possible divisions, and both are
     returned.
     """
-    walked = [_walked(path) for path in paths]
-    end = _shared(paths, walked)
-    parts = end / EYE_SPACING
-    counts = {max(1, math.ceil(parts - EVEN)), max(1, math.ceil(parts + EVEN))}
-    return [_at(paths[0], walked[0], np.linspace(0.0, end, count + 1)) for count in sorted(counts)]
-
-
-def shared_length(paths: Sequence[F64]) -> float:
-    """Return the length in metres of the part that all paths (n, 3) from one start have in common. This part ends at
-    the last sample at which the paths agree.
-    """
-    return _shared(paths, [_walked(path) for path in paths])
-
-
-def _shared(paths: Sequence[F64], walked: Sequence[F64]) -> float:
-    shortest = min(float(lengths[-1]) for lengths in walked)
-    marks = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
-    places = [_at(path, lengths, marks) for path, lengths in zip(paths, walked, strict=True)]
-    apart = np.zeros(len(marks))
-    for first, second in combinations(places, 2):
-        away = first - second
-        apart = np.maximum(apart, np.einsum("ij,ij->i", away, away))
-    beyond = np.flatnonzero(np.sqrt(apart) > PREFIX_STRAY)
-    together = int(beyond[0]) if len(beyond) else len(marks)
-    return float(marks[max(together - 1, 0)])
-
-
-def _walked(path: F64) -> F64:
-    """Return the distance (n,) in metres of each corner from the start, along the path."""
-    sides = np.zeros(len(path))
-    along = path[1:] - path[:-1]
-    np.sqrt(np.einsum("ij,ij->i", along, along), out=sides[1:])
-    return np.cumsum(sides)
-
-
-def _at(path: F64, walked: F64, metres: F64) -> F64:
-    """Return the positions (k, 3) on a path after `metres` (k,) walked from the path's start. `walked` (n,) are the
-    walked distances of the path's corners.
-    """
-    return np.stack([np.interp(metres, walked, path[:, axis]) for axis in range(3)], axis=1)
+    if not episodes:
+        return []
+    paths = [path for episode in episodes for path in episode]
+    corners = np.array([corner for path in paths for corner in path], dtype=np.float64)
+    path_ends = np.cumsum([len(path) for path in paths])
+    row_ends = np.cumsum([len(episode) for episode in episodes])
+    lengths, walked = shared_lengths(corners, path_ends, row_ends, PREFIX_SAMPLES, PREFIX_STRAY)
+    parts = lengths[:, None] / EYE_SPACING + (-EVEN, EVEN)
+    counts = np.maximum(np.ceil(parts).astype(np.int64), 1)
+    # The first path of each episode, divided in one or two ways.
+    row, way = np.nonzero([(True, fewer != more) for fewer, more in counts.tolist()])
+    first = np.concatenate([[0], row_ends[:-1]])[row]
+    firsts = np.where(first > 0, path_ends[first - 1], 0)
+    chosen = counts[row, way]
+    places = places_along(corners, walked, firsts, path_ends[first] - 1, lengths[row], chosen)
+    found: list[list[F64]] = [[] for _ in episodes]
+    for number, part in zip(row.tolist(), np.split(places, np.cumsum(chosen + 1)[:-1]), strict=True):
+        found[number].append(part)
+    return found

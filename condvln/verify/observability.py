@@ -83,7 +83,10 @@ def check_observability(
     sight.look((thing, one.start) for one in asked for _, proofs in one.proofs for way in proofs for thing in way)
     at_start = [[_known(sight, proofs, one.start) for _, proofs in one.proofs] for one in asked]
     # Eyes (n, 3) on the shared path, in one or two variants; none if everything is visible at the start.
-    ways = [[] if all(known) else _ways(one.row, eye_height) for one, known in zip(asked, at_start, strict=True)]
+    walking = [not all(known) for known in at_start]
+    paths = [[leaf.reference_path for leaf in one.row.leaves] for one, more in zip(asked, walking, strict=True) if more]
+    walks = iter(stands(paths))
+    ways = [[eyes_at(places, eye_height) for places in next(walks)] if more else [] for more in walking]
     sight.look(
         (thing, eyes)
         for one, known, places in zip(asked, at_start, ways, strict=True)
@@ -128,11 +131,6 @@ def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneRefer
     told = [evidence for evidence in row.evidence or () if evidence.condition < len(conditions)]
     proofs = [(evidence, proofs_of(conditions[evidence.condition], referents)) for evidence in told]
     return _Asked(row, certificate, yaw, eyes_at(row.start_position, eye_height), proofs)
-
-
-def _ways(row: ManifestEpisode, eye_height: float) -> list[F64]:
-    paths = [np.array(leaf.reference_path) for leaf in row.leaves]
-    return [eyes_at(places, eye_height) for places in stands(paths)]
 
 
 def proofs_of(condition: Condition, referents: SceneReferents) -> Proofs:
