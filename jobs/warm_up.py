@@ -33,6 +33,7 @@ KERNEL_MODULES: Final = {
     "json scan": "condvln.formats.json_scan",
     "looks of the verifier": "condvln.verify.kernels.looking",
     "paths that part": "condvln.verify.kernels.parting",
+    "stops passed": "condvln.verify.kernels.passing",
     "gaps between leaves": "condvln.verify.kernels.separation",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""

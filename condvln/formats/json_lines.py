@@ -58,6 +58,7 @@ class JsonLines:
         self._packed = path.endswith(".gz")
         self._signature = (-1, -1)
         self._starts: list[int] = []
+        self._last: tuple[int, bytes] | None = None
         self._checkpoints: list[_Checkpoint] = []
 
     def lines(self) -> Iterator[tuple[int, bytes]]:
@@ -98,7 +99,7 @@ class JsonLines:
         last = b"".join(begun)
         if last.strip():
             yield number, last
-        self._signature, self._starts, self._checkpoints = signature, starts, checkpoints
+        self._signature, self._starts, self._checkpoints, self._last = signature, starts, checkpoints, None
 
     def line(self, number: int) -> bytes:
         """Return the bytes of one line, without its line end.
@@ -110,6 +111,8 @@ class JsonLines:
         if self._signature != self._root.signature(self.path):
             for _ in self.lines():
                 pass
+        if self._last is not None and self._last[0] == number:
+            return self._last[1]
         if not 0 <= number < len(self._starts):
             raise self._no_line(number)
         start = self._starts[number]
@@ -128,6 +131,7 @@ class JsonLines:
                     break
         if not got.strip():
             raise self._no_line(number)
+        self._last = number, got
         return got
 
     def _no_line(self, number: int) -> MissingFileError:

@@ -187,10 +187,16 @@ class Follower:
         """Return the poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids do not move the
         agent.
         """
-        places, facing = replay_kernel(
-            self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], np.array(actions, np.int8).reshape(-1)
-        )
+        places, facing = self._replayed(start, heading, actions)
         return Walk(places, _headings(heading, facing, self.space))
+
+    def places(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> Floats:
+        """Return the positions (n + 1, 3) of :meth:`walk`."""
+        return self._replayed(start, heading, actions)[0]
+
+    def _replayed(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> tuple[Floats, Indices]:
+        taken = np.array(actions, np.int8).reshape(-1)
+        return replay_kernel(self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], taken)
 
     def stepped(self, start: npt.ArrayLike, heading: float) -> SteppedWalk:
         """Return a walk for an agent that chooses each action after seeing the current pose."""

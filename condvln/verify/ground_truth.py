@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from condvln.navigation.follower import STOP
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import yaw_of
+from condvln.verify.kernels.passing import passed_and_left
 from condvln.verify.walks import Walks
 from schemas.config.constants import PATH_SPACING
 from schemas.evaluation import ManifestEpisode
@@ -53,19 +54,17 @@ def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, ce
     """Check that the only STOP is the last action, that the actions use at most half of the step budget, and that they
     lead past each subgoal in turn and then to the goal.
     """
-    stops = np.flatnonzero(taken == STOP).tolist()
-    certificate.same("ground_truth", stops, [len(taken) - 1], "places of STOP")
+    ends = np.flatnonzero(taken == STOP).tolist()
+    certificate.same("ground_truth", ends, [len(taken) - 1], "places of STOP")
     certificate.holds(
         "ground_truth", 2 * len(taken) <= row.max_steps, row.max_steps, 2 * len(taken), "twice the actions"
     )
     gold = row.leaves[row.gold_leaf]
-    at = 0
-    for subgoal in gold.subgoals:
-        near = np.linalg.norm(along[at:] - np.array(subgoal.position), axis=1) <= row.success_distance
-        passed = bool(near.any())
-        certificate.holds("ground_truth", passed, subgoal.object_id, "not passed", "subgoals")
-        at += int(near.argmax()) if passed else 0
-    end = float(np.linalg.norm(np.array(gold.goals) - along[-1], axis=1).min())
+    stops = np.array([subgoal.position for subgoal in gold.subgoals], dtype=np.float64).reshape(-1, 3)
+    goals = np.array(gold.goals, dtype=np.float64).reshape(-1, 3)
+    passed, end = passed_and_left(along, stops, goals, row.success_distance)
+    for subgoal, near in zip(gold.subgoals, passed.tolist(), strict=True):
+        certificate.holds("ground_truth", near, subgoal.object_id, "not passed", "subgoals")
     certificate.holds("ground_truth", end < row.success_distance, row.success_distance, end, "metres left to the goal")
 
 

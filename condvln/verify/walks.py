@@ -34,6 +34,7 @@ class Walks:
         """Return the positions (n, 3) of an agent that executes ``actions``: ``start``, then the position after each
         forward step.
         """
-        walk = self._follower.walk(start, yaw, actions)
-        moved = np.concatenate([[0], np.flatnonzero(actions == FORWARD) + 1])
-        return np.asarray(walk.positions[moved], dtype=np.float64)
+        places = self._follower.places(start, yaw, actions)
+        moved = np.ones(len(places), dtype=bool)
+        np.equal(actions.reshape(-1), FORWARD, out=moved[1:])
+        return places[moved].astype(np.float64)

@@ -8,6 +8,7 @@ import pytest
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.verify.kernels.passing import passed_and_left
 from condvln.verify.walks import Walks
 
 CORNERS = np.array([[0, 0, 0], [4, 0, 0], [4, 0, 1], [1, 0, 1], [1, 0, 4], [0, 0, 4]], np.float32)
@@ -51,3 +52,31 @@ def test_places_of_actions_are_those_of_executing_them(follower: Follower) -> No
             expected = replayed(follower, start, yaw, actions)
             for _ in range(2):
                 np.testing.assert_array_equal(walks.along(start, yaw, actions), expected)
+
+
+@pytest.mark.parametrize("shape", [(1, -1), (-1, 1), (2, -1)])
+def test_actions_of_another_shape_are_taken_one_by_one(follower: Follower, shape: tuple[int, int]) -> None:
+    actions = np.array([LEFT, FORWARD, RIGHT, RIGHT, FORWARD, FORWARD], np.int8)
+    walks = Walks(follower)
+    expected = replayed(follower, START, 0.3, actions)
+    np.testing.assert_array_equal(walks.along(START, 0.3, actions.reshape(shape)), expected)
+    assert len(walks.along(START, 0.3, actions[:0])) == 1
+
+
+def test_stops_are_passed_in_turn() -> None:
+    """As NumPy finds it, for stops that are passed, missed, or passed too early."""
+    rng = np.random.default_rng(3)
+    found = set()
+    for _ in range(200):
+        along, stops = rng.uniform(0, 4, (rng.integers(1, 12), 3)), rng.uniform(0, 4, (rng.integers(0, 4), 3))
+        goals, radius = rng.uniform(0, 4, (rng.integers(1, 5), 3)), rng.uniform(0.5, 2.5)
+        at, expected = 0, []
+        for stop in stops:
+            near = np.flatnonzero(np.linalg.norm(along[at:] - stop, axis=1) <= radius)
+            at += int(near[0]) if len(near) else 0
+            expected.append(bool(len(near)))
+        passed, left = passed_and_left(along, stops, goals, radius)
+        assert passed.tolist() == expected
+        assert left == np.linalg.norm(goals - along[-1], axis=1).min()
+        found.add(tuple(expected))
+    assert {(True, False), (False, True), (True, True)} <= found
