@@ -269,7 +269,7 @@ def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
     The kernels that rasterise triangles are faster if they are compiled apart. So are the kernels of stops whose rare
     parts, which allocate, stay calls: a part that may fail makes a kernel count the references of all its arrays.
     """
-    rare_parts = {"_draw_label", "_search"}
+    rare_parts = {"_closes_cycle", "_draw_label", "_search"}
     package = Path(condvln.__path__[0])
     for path in sorted(package.rglob("*.py")):
         if re.search(r"condvln\.compiled|kernels|navigation\.recast", path.read_text()):

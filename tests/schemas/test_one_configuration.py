@@ -113,6 +113,7 @@ TECHNICAL = {
     "instructions/kernels/conditions.py": {
         "ANCHOR",
         "CIRCULAR",
+        "CLAIM",
         "GIVEN_AWAY",
         "IMPLIED",
         "LABEL",

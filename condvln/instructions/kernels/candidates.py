@@ -17,8 +17,10 @@ from condvln.instructions.kernels.programs import (
     REASONS,
     DrawnProgram,
     NameTables,
+    ProgramSpace,
     WantedProgram,
     draw_program,
+    program_space,
 )
 from condvln.instructions.kernels.stops import (
     MOST_MOVES,
@@ -31,7 +33,7 @@ from condvln.instructions.kernels.stops import (
     targets_fit,
 )
 from condvln.instructions.kernels.stream import cumulative, index
-from condvln.uncounted import uncounted
+from condvln.uncounted import keep, uncounted
 from schemas.config.constants import MOST_ROOMS
 
 __all__ = [
@@ -270,8 +272,8 @@ def _is_among(key: Longs, keys: Longs, count: int) -> bool:
     return False
 
 
-@compiled
-def draw_candidates(
+@inlined
+def _draw_candidates(
     most: int,
     cell: WantedCell,
     state: CellState,
@@ -279,23 +281,11 @@ def draw_candidates(
     targets: TargetTables,
     names: NameTables,
     statements: StatementTables,
+    space: ProgramSpace,
     stream: Doubles,
     left: Longs,
     found: FoundCandidates,
 ) -> None:
-    """Draw candidates until there are `most`, or the cell is exhausted, or the stream ends; in the latter case a call
-    with a longer stream goes on (see ``condvln.instructions.kernels.stream``).
-
-    room_of : (t,), the room of each target
-    """
-    room_of, targets, names, statements = (
-        uncounted(room_of),
-        uncounted(targets),
-        uncounted(names),
-        uncounted(statements),
-    )
-    cell, state, found = uncounted(cell), uncounted(state), uncounted(found)
-    stream, left = uncounted(stream), uncounted(left)
     numbers, moves, keys = state.numbers, state.moves, state.keys
     before, conditions = (
         np.empty(len(found.failures) + len(found.clashes), np.int64),
@@ -334,7 +324,7 @@ def draw_candidates(
             found.failures, found.clashes, found.rooms[k], found.room_names[k], found.stops[k], found.names[k],
             found.truths[k], found.conditions[k],
         )  # fmt: skip
-        failed = draw_program(numbers[LEFT], wanted, room_of, targets, names, statements, stream, left, one)
+        failed = draw_program(numbers[LEFT], wanted, room_of, targets, names, statements, space, stream, left, one)
         if left[1]:
             found.failures[:], found.clashes[:] = before[:reasons], before[reasons:]
             return
@@ -362,6 +352,32 @@ def draw_candidates(
         numbers[FOUND] += 1
         numbers[FAILED_BEFORE], numbers[FAILED] = numbers[FAILED], 0
         numbers[LEFT_BEFORE], numbers[LEFT] = numbers[LEFT], 0
+
+
+@compiled
+def draw_candidates(
+    most: int,
+    cell: WantedCell,
+    state: CellState,
+    room_of: Longs,
+    targets: TargetTables,
+    names: NameTables,
+    statements: StatementTables,
+    stream: Doubles,
+    left: Longs,
+    found: FoundCandidates,
+) -> None:
+    """Draw candidates until there are `most`, or the cell is exhausted, or the stream ends; in the latter case a call
+    with a longer stream goes on (see ``condvln.instructions.kernels.stream``).
+
+    room_of : (t,), the room of each target
+    """
+    space = program_space(len(state.moves), len(cell.asked), targets, names, statements)
+    _draw_candidates(
+        most, uncounted(cell), uncounted(state), uncounted(room_of), uncounted(targets), uncounted(names),
+        uncounted(statements), uncounted(space), uncounted(stream), uncounted(left), uncounted(found),
+    )  # fmt: skip
+    keep(space)
 
 
 def _warm_up() -> None:

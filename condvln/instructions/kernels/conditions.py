@@ -9,13 +9,23 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, uniform
-from condvln.uncounted import uncounted
+from condvln.uncounted import keep, uncounted
 
-__all__ = ["NOTHING", "RULES", "Given", "StatementTables", "draw_conditions", "leave_a_question", "rules_of_places"]
+__all__ = [
+    "CLAIM",
+    "NOTHING",
+    "RULES",
+    "Given",
+    "StatementTables",
+    "draw_conditions",
+    "leave_a_question",
+    "rules_of_places",
+]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+Bytes = npt.NDArray[np.int8]
 
 NOTHING: Final = -1
 """In place of a number: there is no anchor, no statements of presence, no rule that is violated."""
@@ -41,6 +51,9 @@ ANCHOR: Final = 3
 OTHER_ANCHOR: Final = 4
 PRESENCE: Final = 5
 """Columns of claims, see ``degeneracy.Claim``."""
+
+CLAIM: Final = PRESENCE + 1
+"""Number of columns of claims."""
 
 
 class StatementTables(NamedTuple):
@@ -131,7 +144,7 @@ def clash(claims: Longs, k: int, given: Given, overlap: Bools) -> int:
     for o in range(k):
         if overlap[label, claims[o, LABEL]]:
             return ONE_LABEL
-    if _closes_cycle(claims, k, overlap):
+    if k > 0 and claims[k, ANCHOR] >= 0 and _closes_cycle(claims, k, overlap):
         return IMPLIED
     for column in range(ROOM_ANCHOR, PRESENCE):
         if claims[k, column] >= 0 and _is_elsewhere(claims[k, column], claims, k, given, overlap):
@@ -139,15 +152,17 @@ def clash(claims: Longs, k: int, given: Given, overlap: Bools) -> int:
     return NOTHING
 
 
-@inlined
+@compiled
 def _closes_cycle(claims: Longs, k: int, overlap: Bools) -> bool:
     """Return whether the relation of claim `k` closes a cycle of labels with the relations of the claims before it that
     are about the same room.
+
+    It allocates, and is seldom needed: as a call of its own, `clash` need not.
     """
-    reached = np.empty(1 + 4 * k, np.int64)
+    made = np.empty(1 + 4 * k, np.int64)
+    reached = uncounted(made)
     reached[0] = claims[k, LABEL]
-    count = 1
-    grown = claims[k, ANCHOR] >= 0 and k > 0
+    count, grown, closed = 1, True, False
     while grown:
         grown = False
         for o in range(k):
@@ -159,9 +174,9 @@ def _closes_cycle(claims: Longs, k: int, overlap: Bools) -> bool:
                         count += 2
                         grown = True
     for column in range(ANCHOR, PRESENCE):
-        if k > 0 and claims[k, column] >= 0 and _any(reached, count, claims[k, column], overlap):
-            return True
-    return False
+        closed |= claims[k, column] >= 0 and _any(reached, count, claims[k, column], overlap)
+    keep(made)
+    return closed
 
 
 @compiled
@@ -222,6 +237,8 @@ def draw_conditions(
     attempts: int,
     given: Given,
     tables: StatementTables,
+    claims: Longs,
+    rules: Bytes,
     stream: Doubles,
     left: Longs,
     clashes: Longs,
@@ -236,14 +253,13 @@ def draw_conditions(
     room_sums : (r,), their running weights
     bearings : most egocentric statements; they are about `start_room`
     attempts : most draws of a pool, and most draws of a statement from it
+    claims, rules : (t + 1, 6) and (s,), working memory
     clashes : (7,), to which the violations of each rule are added
     drawn : (t, 3), set to the index in `rooms`, the pool and the place of each statement
     """
-    claims = np.empty((len(truths) + 1, PRESENCE + 1), np.int64)
-    rules = np.empty(len(tables.labels), np.int8)  # of each statement, once it was drawn
     for k in range(len(truths)):
         found = False
-        rules[:] = UNKNOWN
+        rules[:] = UNKNOWN  # of each statement, until it is drawn
         for _ in range(attempts):
             r = cumulative(room_sums, 0, len(rooms), stream, left)
             room = rooms[r, 0]
@@ -282,13 +298,15 @@ def rules_of_places(
     """Return for each statement of a pool with the given `truth` the rule that it violates together with `claims` and
     the stops' phrases, or NOTHING.
     """
-    tables, all_claims = uncounted(tables), np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
+    tables, given, made = uncounted(tables), uncounted(given), np.empty((len(claims) + 1, CLAIM), np.int64)
+    all_claims = uncounted(made)
     all_claims[: len(claims)] = claims
     begin, end = tables.spans[pool, truth, 0], tables.spans[pool, truth, 1]
     rules = np.empty(end - begin, np.int64)
     for place in range(begin, end):
         _claim(all_claims, len(claims), room, room_anchor, pool, place, tables)
         rules[place - begin] = clash(all_claims, len(claims), given, tables.overlap)
+    keep(made)
     return rules
 
 
@@ -299,7 +317,8 @@ def leave_a_question(
     """Return whether some pool from `first` to `end` - 1 has a statement of either truth that violates no rule together
     with `claims` and the stops' phrases.
     """
-    tables, all_claims = uncounted(tables), np.empty((len(claims) + 1, PRESENCE + 1), np.int64)
+    tables, given, made = uncounted(tables), uncounted(given), np.empty((len(claims) + 1, CLAIM), np.int64)
+    all_claims, left = uncounted(made), False
     all_claims[: len(claims)] = claims
     for pool in range(first, end):
         sound = 0
@@ -310,8 +329,10 @@ def leave_a_question(
                     sound += 1
                     break
         if sound == 2:
-            return True
-    return False
+            left = True
+            break
+    keep(made)
+    return left
 
 
 def _warm_up() -> None:
@@ -334,8 +355,8 @@ def _warm_up() -> None:
         pool_of_form=place,
     )
     given = Given(none, none, np.zeros((0, 3), np.int64))
-    rules_of_places(np.zeros((0, PRESENCE + 1), np.int64), 0, NOTHING, 0, 1, given, tables)
-    leave_a_question(np.zeros((0, PRESENCE + 1), np.int64), 0, NOTHING, 0, 1, given, tables)
+    rules_of_places(np.zeros((0, CLAIM), np.int64), 0, NOTHING, 0, 1, given, tables)
+    leave_a_question(np.zeros((0, CLAIM), np.int64), 0, NOTHING, 0, 1, given, tables)
 
 
 register_warm_up("conditions of programs", _warm_up)

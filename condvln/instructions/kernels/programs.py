@@ -8,8 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined
-from condvln.instructions.kernels.conditions import NOTHING, Given, StatementTables, draw_conditions
-from condvln.instructions.kernels.stops import FAILURES, MOST_MOVES, TargetTables, WantedStops, draw_stops
+from condvln.instructions.kernels.conditions import CLAIM, NOTHING, Given, StatementTables, draw_conditions
+from condvln.instructions.kernels.stops import (
+    FAILURES,
+    MOST_MOVES,
+    StopSpace,
+    TargetTables,
+    WantedStops,
+    draw_stops,
+    prepare_stops,
+    stop_space,
+)
 from condvln.instructions.kernels.stream import cumulative, index
 from condvln.instructions.referents import ALTERNATIVES
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
@@ -20,13 +29,16 @@ __all__ = [
     "REASONS",
     "DrawnProgram",
     "NameTables",
+    "ProgramSpace",
     "WantedProgram",
     "draw_program",
+    "program_space",
 ]
 
 Doubles = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+Bytes = npt.NDArray[np.int8]
 
 REASONS: Final = (*FAILURES, "circular", "two_things", "no_condition", "composition_missed", "duplicate")
 """Why a draw failed, by number."""
@@ -113,7 +125,7 @@ class DrawnProgram(NamedTuple):
     conditions: Longs
 
 
-class _Said(NamedTuple):
+class Said(NamedTuple):
     """Labels that a text has said, and their rooms, both (s,), and how many there are, (1,)."""
 
     rooms: Longs
@@ -121,22 +133,72 @@ class _Said(NamedTuple):
     size: Longs
 
 
+class ProgramSpace(NamedTuple):
+    """Working memory of `draw_program`. Nothing in it is counted, and nothing is allocated while a program is drawn.
+
+    names (m,), sums (m,) : names that may be drawn, and their running weights
+    given_stops (., 2), things (., 2), pairs (., 3) : see `Given`
+    asked (r, 2), asked_sums (r,) : the rooms that may be asked about, see `draw_conditions`
+    claims (c + 1, 6), rules (s,) : see `draw_conditions`
+    """
+
+    stops: StopSpace
+    said: Said
+    names: Longs
+    sums: Doubles
+    given_stops: Longs
+    things: Longs
+    pairs: Longs
+    asked: Longs
+    asked_sums: Doubles
+    claims: Longs
+    rules: Bytes
+
+
+@inlined
+def program_space(
+    leaves: int, conditions: int, targets: TargetTables, names: NameTables, statements: StatementTables
+) -> ProgramSpace:
+    """Return working memory for programs with a number of leaves and of conditions."""
+    most, rooms = leaves * MOST_MOVES, len(targets.type_of)
+    said = rooms + (1 + MOST_ANCHORS) * most
+    return ProgramSpace(
+        stop_space(len(names.label), len(targets.order), rooms, leaves),
+        Said(np.empty(said, np.int64), np.empty(said, np.int64), np.zeros(1, np.int64)),
+        np.empty(ALTERNATIVES + len(names.sums), np.int64),
+        np.empty(ALTERNATIVES + len(names.sums)),
+        np.empty((most, 2), np.int64),
+        np.empty((most * (2 + MOST_ANCHORS), 2), np.int64),
+        np.empty((most * MOST_ANCHORS, 3), np.int64),
+        np.empty((rooms, 2), np.int64),
+        np.empty(rooms),
+        np.empty((conditions + 1, CLAIM), np.int64),
+        np.empty(len(statements.labels), np.int8),
+    )
+
+
 @compiled
-def _say(room: int, label: int, said: _Said) -> None:
+def _say(room: int, label: int, said: Said) -> None:
     said.rooms[said.size[0]], said.labels[said.size[0]] = room, label
     said.size[0] += 1
 
 
 @inlined
 def _name_rooms(
-    rooms: Longs, names: NameTables, overlap: Bools, said: _Said, stream: Doubles, left: Longs, found: Longs
+    rooms: Longs,
+    names: NameTables,
+    overlap: Bools,
+    said: Said,
+    free: Longs,
+    stream: Doubles,
+    left: Longs,
+    found: Longs,
 ) -> int:
     """Write the number of a name of each room to `found`. No name relies on an object with the label of a stop, or with
     a label in another room's name. Return the number of a reason, or FITS.
     """
     for k in range(len(rooms)):
         room, count = rooms[k], 0
-        free = np.empty(ALTERNATIVES, np.int64)
         for name in range(names.room_first[room], names.room_first[room + 1]):
             anchor, clear = names.room_anchor[name], True
             if anchor >= 0:
@@ -155,7 +217,7 @@ def _name_rooms(
 
 
 @inlined
-def _is_said_elsewhere(name: int, room: int, names: NameTables, overlap: Bools, said: _Said) -> bool:
+def _is_said_elsewhere(name: int, room: int, names: NameTables, overlap: Bools, said: Said) -> bool:
     """Return whether a word for an anchor of a name might mean something that the text names in another room."""
     found = False
     for column in range(MOST_ANCHORS):
@@ -168,7 +230,14 @@ def _is_said_elsewhere(name: int, room: int, names: NameTables, overlap: Bools, 
 
 @inlined
 def _draw_name(
-    key: int, room: int, alone: bool, names: NameTables, overlap: Bools, said: _Said, stream: Doubles, left: Longs
+    key: int,
+    room: int,
+    alone: bool,
+    names: NameTables,
+    overlap: Bools,
+    space: ProgramSpace,
+    stream: Doubles,
+    left: Longs,
 ) -> int:
     """Return one of a key's names, by its weight, or, if there is none, −1 − the number of a reason. No name relies on
     an object with a label that was said of another room, unless the text names one room alone.
@@ -176,7 +245,7 @@ def _draw_name(
     begin, end = names.first[key], names.first[key + 1]
     if begin == end:
         return -1 - CIRCULAR
-    kept, count = np.empty(end - begin, np.int64), 0
+    kept, sums, said, count = space.names, space.sums, space.said, 0
     for name in range(begin, end):
         if alone or not _is_said_elsewhere(name, room, names, overlap, said):
             kept[count] = name
@@ -185,7 +254,7 @@ def _draw_name(
         return -1 - TWO_THINGS
     if count == end - begin:
         return int(cumulative(names.sums, begin, end, stream, left))
-    sums, total = np.empty(count), 0.0
+    total = 0.0
     for k in range(count):
         alike = 0
         for other in range(count):
@@ -206,7 +275,7 @@ def _name_stops(
     room_of: Longs,
     names: NameTables,
     overlap: Bools,
-    said: _Said,
+    space: ProgramSpace,
     stream: Doubles,
     left: Longs,
     found: DrawnProgram,
@@ -215,7 +284,7 @@ def _name_stops(
     egocentric statements left for conditions, or, if there are no such names, −1 − the number of a reason.
     """
     # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
-    bearings, alone, moves = wanted.bearings, len(rooms) == 1, wanted.stops.moves
+    bearings, alone, moves, said = wanted.bearings, len(rooms) == 1, wanted.stops.moves, space.said
     for leaf in range(len(moves)):
         for move in range(moves[leaf]):
             target, name = found.stops[leaf, move], NOTHING
@@ -229,7 +298,7 @@ def _name_stops(
                     if rooms[k] == room:
                         key += found.room_names[k]
                 here = int(room == start_room and bearings > 1)
-                name = _draw_name(2 * key + here, room, alone, names, overlap, said, stream, left)
+                name = _draw_name(2 * key + here, room, alone, names, overlap, space, stream, left)
                 if name < 0:
                     return name
                 for column in range(MOST_ANCHORS):
@@ -241,12 +310,11 @@ def _name_stops(
 
 
 @inlined
-def _presupposed(moves: Longs, rooms: Longs, room_of: Longs, names: NameTables, found: DrawnProgram) -> Given:
+def _presupposed(
+    moves: Longs, rooms: Longs, room_of: Longs, names: NameTables, space: ProgramSpace, found: DrawnProgram
+) -> Given:
     """Return what the phrases of all stops together presuppose."""
-    most = len(moves) * MOST_MOVES
-    stops = np.empty((most, 2), np.int64)
-    things = np.empty((most * (2 + MOST_ANCHORS), 2), np.int64)
-    pairs = np.empty((most * MOST_ANCHORS, 3), np.int64)
+    stops, things, pairs = space.given_stops, space.things, space.pairs
     count = besides = related = 0
     for leaf in range(len(moves)):
         for move in range(moves[leaf]):
@@ -275,19 +343,20 @@ def _finish(
     room_of: Longs,
     names: NameTables,
     statements: StatementTables,
+    space: ProgramSpace,
     stream: Doubles,
     left: Longs,
     found: DrawnProgram,
 ) -> int:
     """Draw names and conditions for rooms and stops. Return the number of a reason, or FITS."""
     rooms, moves, overlap = found.rooms[1 : 1 + found.rooms[0]], wanted.stops.moves, statements.overlap
-    most = len(rooms) + (1 + MOST_ANCHORS) * MOST_MOVES * len(moves)
-    said = _Said(np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(1, np.int64))
+    said = space.said
+    said.size[0] = 0
     for leaf in range(len(moves)):
         for move in range(moves[leaf]):
             target = found.stops[leaf, move]
             _say(room_of[target], names.label[target], said)
-    reason = _name_rooms(rooms, names, overlap, said, stream, left, found.room_names)
+    reason = _name_rooms(rooms, names, overlap, said, space.names, stream, left, found.room_names)
     if reason != FITS:
         return reason
     start_room, count = NOTHING, 0
@@ -305,11 +374,11 @@ def _finish(
                     if place == 0:
                         start_room = room
                     place -= 1
-    bearings = _name_stops(wanted, rooms, start_room, room_of, names, overlap, said, stream, left, found)
+    bearings = _name_stops(wanted, rooms, start_room, room_of, names, overlap, space, stream, left, found)
     if bearings < 0:
         return -1 - bearings
     found.truths[0] = index(len(wanted.truths), stream, left)
-    asked, sums = np.empty((len(rooms), 2), np.int64), np.empty(len(rooms))
+    asked, sums = space.asked, space.asked_sums
     count, total = 0, 0.0
     for k in range(len(rooms)):
         if names.asked[rooms[k]]:
@@ -319,11 +388,11 @@ def _finish(
             total += PLAIN_ROOM_WEIGHT if anchor < 0 else 1.0
             sums[count] = total
             count += 1
-    given = _presupposed(moves, rooms, room_of, names, found)
+    given = _presupposed(moves, rooms, room_of, names, space, found)
     start = NOTHING if start_room == NOTHING else names.statement_room[start_room]
     if count == 0 or not draw_conditions(
         wanted.truths[found.truths[0]], asked[:count], sums[:count], start, bearings, wanted.attempts, given,
-        statements, stream, left, found.clashes, found.conditions,
+        statements, space.claims, space.rules, stream, left, found.clashes, found.conditions,
     ):  # fmt: skip
         return NO_CONDITION
     return FITS
@@ -337,6 +406,7 @@ def draw_program(
     targets: TargetTables,
     names: NameTables,
     statements: StatementTables,
+    space: ProgramSpace,
     stream: Doubles,
     left: Longs,
     found: DrawnProgram,
@@ -345,13 +415,14 @@ def draw_program(
 
     room_of : (t,), the room of each target
     """
-    failed = 0
+    failed, goal_labels = 0, prepare_stops(wanted.stops, targets, space.stops)
     while failed < tries and not left[1]:
         failed += draw_stops(
-            tries - failed, wanted.stops, room_of, targets, stream, left, found.failures, found.rooms, found.stops
+            tries - failed, wanted.stops, room_of, targets, goal_labels, space.stops, stream, left, found.failures,
+            found.rooms, found.stops,
         )  # fmt: skip
         if failed < tries:
-            reason = _finish(wanted, room_of, names, statements, stream, left, found)
+            reason = _finish(wanted, room_of, names, statements, space, stream, left, found)
             if reason == FITS:
                 return failed
             found.failures[reason] += 1

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled, constant, inlined
 from condvln.instructions.kernels.stream import cumulative, index
-from condvln.uncounted import uncounted
+from condvln.uncounted import keep, uncounted
 
 __all__ = [
     "FAILURES",
@@ -18,9 +18,12 @@ __all__ = [
     "NO_WAYPOINT",
     "ByLabel",
     "Questions",
+    "StopSpace",
     "TargetTables",
     "WantedStops",
     "draw_stops",
+    "prepare_stops",
+    "stop_space",
     "targets_fit",
 ]
 
@@ -125,6 +128,37 @@ class WantedStops(NamedTuple):
     roomy_sums: Doubles
     used: Longs
     cap: float
+
+
+class StopSpace(NamedTuple):
+    """Working memory of `draw_stops`. Nothing in it is counted, and nothing is allocated while stops are drawn.
+
+    masks (13, t) : sets of targets, see the rows below
+    labels (l,), weights (l,) : the labels that may be goals, and their weights
+    sums (2 l,), waypoint_sums (2 l,) : for these labels and for all labels, see `_draw_target`
+    ahead (r,) : rooms, goals (n,) : targets
+    """
+
+    masks: Bools
+    labels: Longs
+    weights: Doubles
+    sums: Doubles
+    waypoint_sums: Doubles
+    ahead: Longs
+    goals: Longs
+
+
+HELD, DRAWABLE, BOTH, UNUSED, ALLOWED, FREE, REST, SPARE, APART, USED, OPEN, FRESH, CLEAR = range(13)
+"""Rows of ``StopSpace.masks``."""
+
+
+@inlined
+def stop_space(targets: int, labels: int, rooms: int, leaves: int) -> StopSpace:
+    """Return working memory for the stops of a scene's programs."""
+    return StopSpace(
+        np.empty((13, targets), np.bool_), np.empty(labels, np.int64), np.empty(labels), np.empty(2 * labels),
+        np.empty(2 * labels), np.empty(rooms, np.int64), np.empty(leaves, np.int64),
+    )  # fmt: skip
 
 
 @compiled
@@ -240,7 +274,8 @@ def _draw_label(
 
     It allocates, and is seldom needed: as a call of its own, `_draw_target` need not count references.
     """
-    there, weights = np.empty(len(labels), np.int64), np.empty(len(labels))
+    there, made = np.empty(len(labels), np.int64), np.empty(len(labels))
+    weights = uncounted(made)
     n, total = 0, 0.0
     for k in range(len(labels)):
         if _has(labels[k], allowed, members, spans):
@@ -250,6 +285,7 @@ def _draw_label(
     label = NONE
     if n > 0:
         label = there[cumulative(weights, 0, n, stream, left)]
+    keep(made)
     return label
 
 
@@ -286,10 +322,13 @@ def _draw_target(
 
 
 @compiled
-def _draw_clear(allowed: Bools, sums: Doubles, labels: Longs, by_label: ByLabel, stream: Doubles, left: Longs) -> int:
-    """Return one of the `allowed` targets, if possible one with a clear name, or NONE; see `_draw_target`."""
+def _draw_clear(
+    allowed: Bools, sums: Doubles, labels: Longs, by_label: ByLabel, some: Bools, stream: Doubles, left: Longs
+) -> int:
+    """Return one of the `allowed` targets, if possible one with a clear name, or NONE; see `_draw_target`. `some` (t,)
+    is working memory.
+    """
     clear, members, spans = by_label.clear, by_label.members, by_label.spans
-    some = np.empty(len(allowed), np.bool_)
     for k in range(len(allowed)):
         some[k] = allowed[k] & clear[k]
     target = _draw_target(some, sums, labels, members, spans, stream, left)
@@ -314,22 +353,22 @@ def _few_rooms(
     n: int,
     waypoints: int,
     tables: TargetTables,
+    space: StopSpace,
     rooms: Longs,
-    held: Bools,
     stream: Doubles,
     left: Longs,
 ) -> int:
     """Write `least` to `most` rooms of different types to `rooms`, which together have targets for all stops; return
-    their number, or NONE. `held` is set to their targets.
+    their number, or NONE. The row HELD is set to their targets.
 
     Conditions can be asked about the first room. The others are named by their label alone if enough such rooms are
     left, so that a text hardly ever has two rooms like "the bedroom with the piano".
     """
+    held, both, ahead = space.masks[HELD], space.masks[BOTH], space.ahead
     rooms[0] = tables.asked[cumulative(tables.asked_sums, 0, len(tables.asked), stream, left)]
     held[:] = tables.held[rooms[0]]
     questions = tables.questions
     type_of, is_plain, by_type, held_by = tables.type_of, tables.plain, tables.by_type, tables.held
-    ahead, both = np.empty(len(by_type), np.int64), np.empty(len(held), np.bool_)
     count = 1
     while count < most:
         size = plain = 0
@@ -373,30 +412,29 @@ def _few_rooms(
 def _draw_goals(
     n: int,
     waypoints: int,
-    held: Bools,
     sums: Doubles,
     labels: Longs,
-    drawable: Bools,
     questions: Questions,
     by_label: ByLabel,
+    space: StopSpace,
     stream: Doubles,
     left: Longs,
-    goals: Longs,
 ) -> int:
-    """Write one goal for each of `n` leaves to `goals`. They have different labels and are pairwise apart, and enough
-    targets are left for the waypoints of the longest leaf. Return the number of a failure, or NONE.
+    """Write one goal for each of `n` leaves to ``space.goals``. They have different labels and are pairwise apart, and
+    enough targets are left for the waypoints of the longest leaf. Return the number of a failure, or NONE.
     """
-    unused = np.empty(len(held), np.bool_)
+    masks, goals = space.masks, space.goals
+    held, drawable, unused = masks[HELD], masks[DRAWABLE], masks[UNUSED]
     for k in range(len(held)):
         unused[k] = held[k] & drawable[k]
     if not fits(unused, unused, n, WITHOUT_WAYPOINTS, questions):
         return LABEL_OVER_CAP if fits(held, held, n, WITHOUT_WAYPOINTS, questions) else NO_TARGETS
     apart, label = questions.apart, questions.label
-    allowed, free = unused.copy(), held.copy()
-    rest, spare = np.empty(len(held), np.bool_), np.empty(len(held), np.bool_)
+    allowed, free, rest, spare = masks[ALLOWED], masks[FREE], masks[REST], masks[SPARE]
+    allowed[:], free[:] = unused, held
     count = 0
     while count < n:
-        target = _draw_clear(allowed, sums, labels, by_label, stream, left)
+        target = _draw_clear(allowed, sums, labels, by_label, masks[CLEAR], stream, left)
         if target == NONE:
             return NO_WAYPOINT if waypoints else NO_TARGETS
         _narrow(unused, target, apart, rest)
@@ -416,8 +454,7 @@ def _draw_goals(
 def _draw_moves(
     goal: int,
     count: int,
-    allowed: Bools,
-    used: Bools,
+    masks: Bools,
     room_of: Longs,
     sums: Doubles,
     order: Longs,
@@ -428,18 +465,19 @@ def _draw_moves(
     left: Longs,
     moves: Longs,
 ) -> bool:
-    """Write the stops of one leaf to `moves`: first `count` - 1 waypoints among `allowed`, then `goal`. The waypoints
-    are apart from one another. The first waypoint is one of `used`, the stops with which other leaves begin, only if no
-    other target is left. Return False if there are no such waypoints.
+    """Write the stops of one leaf to `moves`: first `count` - 1 waypoints among those APART, then `goal`. The waypoints
+    are apart from one another. The first waypoint is one of those USED, the stops with which other leaves begin, only
+    if no other target is left. Return False if there are no such waypoints.
     """
-    open_, fresh = allowed.copy(), np.empty(len(allowed), np.bool_)
+    open_, fresh, used = masks[OPEN], masks[FRESH], masks[USED]
+    open_[:] = masks[APART]
     _without_label(open_, label[goal], label)
     for k in range(count - 1):
         for other in range(len(open_)):
             fresh[other] = open_[other] & (k > 0 or not used[other])
-        target = _draw_clear(fresh, sums, order, by_label, stream, left)
+        target = _draw_clear(fresh, sums, order, by_label, masks[CLEAR], stream, left)
         if target == NONE:
-            target = _draw_clear(open_, sums, order, by_label, stream, left)
+            target = _draw_clear(open_, sums, order, by_label, masks[CLEAR], stream, left)
         if target == NONE:
             return False
         moves[k] = target
@@ -454,12 +492,9 @@ def _draw_moves(
 @inlined
 def _draw_leaves(
     counts: Longs,
-    held: Bools,
-    goals: Longs,
     room_of: Longs,
-    sums: Doubles,
-    order: Longs,
     tables: TargetTables,
+    space: StopSpace,
     stream: Doubles,
     left: Longs,
     stops: Longs,
@@ -468,14 +503,16 @@ def _draw_leaves(
     never all leaves. Return the number of a failure, or NONE.
     """
     n, apart, label = len(counts), tables.questions.apart, tables.questions.label
-    by_label, alike_to = tables.by_label, tables.alike
-    allowed, used = held.copy(), np.zeros(len(held), np.bool_)
+    by_label, alike_to, order, sums = tables.by_label, tables.alike, tables.order, space.waypoint_sums
+    masks, goals = space.masks, space.goals
+    allowed, used = masks[APART], masks[USED]
+    allowed[:], used[:] = masks[HELD], False
     for leaf in range(n):
         _narrow(allowed, goals[leaf], apart, allowed)
     for leaf in range(n):
         moves, count = stops[leaf], counts[leaf]
         if not _draw_moves(
-            goals[leaf], count, allowed, used, room_of, sums, order, apart, label, by_label, stream, left, moves
+            goals[leaf], count, masks, room_of, sums, order, apart, label, by_label, stream, left, moves
         ):
             return NO_WAYPOINT
         used[moves[0]] = True
@@ -492,14 +529,12 @@ def _draw_leaves(
 
 
 @compiled
-def _running(weights: Doubles) -> Doubles:
-    """Return the running sums of `weights`, then `weights`: what `_draw_target` takes."""
-    n = len(weights)
-    sums, total = np.empty(2 * n), 0.0
+def _running(weights: Doubles, n: int, sums: Doubles) -> None:
+    """Write the running sums of the first `n` weights to `sums`, then the weights: what `_draw_target` takes."""
+    total = 0.0
     for k in range(n):
         total += weights[k]
         sums[k], sums[n + k] = total, weights[k]
-    return sums
 
 
 @inlined
@@ -513,11 +548,35 @@ def _leave_to_ask(rooms: Longs, spoiling: Bools, held: Bools) -> None:
 
 
 @inlined
+def prepare_stops(wanted: WantedStops, tables: TargetTables, space: StopSpace) -> int:
+    """Write the labels that may be goals, and the running weights of labels, to `space`. Return the number of these
+    labels.
+    """
+    used, cap, order, preferred = wanted.used, wanted.cap, tables.order, tables.weights
+    spans, members, drawable = tables.by_label.spans, tables.by_label.members, space.masks[DRAWABLE]
+    drawable[:] = False
+    kept = 0
+    for k in range(len(order)):
+        label = order[k]
+        if used[label] + 1 <= cap:
+            space.labels[kept] = label
+            space.weights[kept] = preferred[k] / (1 + used[label])
+            kept += 1
+            for place in range(spans[label, 0], spans[label, 1]):
+                drawable[members[place]] = True
+    _running(space.weights, kept, space.sums)
+    _running(preferred, len(order), space.waypoint_sums)
+    return kept
+
+
+@inlined
 def draw_stops(
     tries: int,
     wanted: WantedStops,
     room_of: Longs,
     tables: TargetTables,
+    goal_labels: int,
+    space: StopSpace,
     stream: Doubles,
     left: Longs,
     failures: Longs,
@@ -529,30 +588,14 @@ def draw_stops(
 
     Parameters
     ----------
+    goal_labels, space : set by `prepare_stops`
     failures : (f,), to which the failed tries are added by their reason
     rooms : (1 + `most`,), set to the number of rooms and the rooms
     stops : (n, 3), set to the targets
     """
-    counts, least, most, used, cap = wanted.moves, wanted.least, wanted.most, wanted.used, wanted.cap
-    roomy, roomy_sums = wanted.roomy, wanted.roomy_sums
-    n, waypoints = len(counts), counts.max() - 1
-    questions, by_label, order, preferred = tables.questions, tables.by_label, tables.order, tables.weights
-    spans, members, held_by, spoiling = by_label.spans, by_label.members, tables.held, tables.spoiling
-    labels, weights = np.empty(len(order), np.int64), np.empty(len(order))
-    kept = 0
-    for k in range(len(order)):
-        if used[order[k]] + 1 <= cap:
-            labels[kept] = order[k]
-            weights[kept] = preferred[k] / (1 + used[order[k]])
-            kept += 1
-    labels, sums = labels[:kept], _running(weights[:kept])
-    # Copies, since a kernel would be compiled once more for arrays whose references are not counted.
-    order, waypoint_sums = order.copy(), _running(preferred.copy())
-    drawable, held = np.zeros(len(members), np.bool_), np.zeros(len(members), np.bool_)
-    for label in labels:
-        for k in range(spans[label, 0], spans[label, 1]):
-            drawable[members[k]] = True
-    goals = np.empty(n, np.int64)
+    counts, least, most, roomy, roomy_sums = wanted.moves, wanted.least, wanted.most, wanted.roomy, wanted.roomy_sums
+    n, waypoints, held, held_by = len(counts), counts.max() - 1, space.masks[HELD], tables.held
+    labels, sums = space.labels[:goal_labels], space.sums[: 2 * goal_labels]
     for attempt in range(tries):
         if left[1]:
             break  # the stream has ended
@@ -560,14 +603,14 @@ def draw_stops(
             rooms[0], rooms[1] = 1, roomy[cumulative(roomy_sums, 0, len(roomy), stream, left)]
             held[:] = held_by[rooms[1]]
         else:
-            rooms[0] = _few_rooms(least, most, n, waypoints, tables, rooms[1:], held, stream, left)
+            rooms[0] = _few_rooms(least, most, n, waypoints, tables, space, rooms[1:], stream, left)
             if rooms[0] == NONE:
                 failures[NO_WAYPOINT if waypoints else NO_TARGETS] += 1
                 continue
-        _leave_to_ask(rooms[1 : 1 + rooms[0]], spoiling, held)
-        failed = _draw_goals(n, waypoints, held, sums, labels, drawable, questions, by_label, stream, left, goals)
+        _leave_to_ask(rooms[1 : 1 + rooms[0]], tables.spoiling, held)
+        failed = _draw_goals(n, waypoints, sums, labels, tables.questions, tables.by_label, space, stream, left)
         if failed == NONE:
-            failed = _draw_leaves(counts, held, goals, room_of, waypoint_sums, order, tables, stream, left, stops)
+            failed = _draw_leaves(counts, room_of, tables, space, stream, left, stops)
         if failed == NONE:
             return attempt
         failures[failed] += 1
