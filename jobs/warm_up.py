@@ -35,6 +35,7 @@ KERNEL_MODULES: Final = {
     "paths that part": "condvln.verify.kernels.parting",
     "stops passed": "condvln.verify.kernels.passing",
     "gaps between leaves": "condvln.verify.kernels.separation",
+    "regressions of the bias gate": "condvln.bias.newton_direction",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""
 
