@@ -30,6 +30,7 @@ KERNEL_MODULES: Final = {
     "starts of episodes": "condvln.episodes.starts",
     "beginnings of paths": "condvln.episodes.kernels.prefix",
     "distances of meshes": "condvln.relations.triangle_trees",
+    "lines of sight in range": "condvln.navigation.sight",
     "json scan": "condvln.formats.json_scan",
     "looks of the verifier": "condvln.verify.kernels.looking",
     "paths that part": "condvln.verify.kernels.parting",

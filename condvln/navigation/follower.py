@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +23,8 @@ from condvln.navigation.kernels.following import (
     TOO_LONG,
     Gait,
     Limits,
+    follow_many,
+    replay_many,
 )
 from condvln.navigation.kernels.following import follow as follow_kernel
 from condvln.navigation.kernels.following import replay as replay_kernel
@@ -40,6 +44,7 @@ __all__ = [
     "ActionSpace",
     "FollowedRoute",
     "Follower",
+    "Length",
     "SteppedWalk",
     "Walk",
 ]
@@ -123,6 +128,18 @@ class FollowedRoute:
         return len(self.locations) - 1
 
 
+class Length(NamedTuple):
+    """The number of actions of a walk, the last STOP included, and its outcome as in `FollowedRoute`."""
+
+    actions: int
+    outcome: str
+
+    @property
+    def arrived(self) -> bool:
+        """Whether all goals were reached."""
+        return self.outcome == OUTCOMES[ARRIVED]
+
+
 class Follower:
     """Walks along geodesics of a navmesh to goals.
 
@@ -187,16 +204,52 @@ class Follower:
         """Return the poses of an agent that takes ``actions`` (n,) from ``start``; STOP and unknown ids do not move the
         agent.
         """
-        places, facing = self._replayed(start, heading, actions)
+        places, facing = replay_kernel(
+            self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], np.array(actions, np.int8).reshape(-1)
+        )
         return Walk(places, _headings(heading, facing, self.space))
 
-    def places(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> Floats:
-        """Return the positions (n + 1, 3) of :meth:`walk`."""
-        return self._replayed(start, heading, actions)[0]
+    def lengths(self, starts: npt.ArrayLike, headings: Sequence[float], goals: Sequence[npt.ArrayLike]) -> list[Length]:
+        """Return the length of each of n walks that :meth:`follow` makes, from ``starts`` (n, 3) to each walk's own
+        goals.
+        """
+        if not len(headings):
+            return []
+        own = [np.atleast_2d(one) for one in goals]
+        ends = np.cumsum([len(one) for one in own])
+        limits = Limits(np.float32(self.stop_within), np.float32(self.arrive_within))
+        made, outcomes = follow_many(
+            self.pathfinder.query_mesh, *self._gaits(headings), many_points(starts), many_points(np.concatenate(own)),
+            ends, limits, self.max_actions,
+        )  # fmt: skip
+        found = [
+            Length(count, OUTCOMES[outcome]) for count, outcome in zip(made.tolist(), outcomes.tolist(), strict=True)
+        ]
+        if not self.sliding:
+            for number, length in enumerate(found):
+                if length.outcome == OUTCOMES[STUCK]:
+                    route = self.follow(many_points(starts)[number], headings[number], own[number])
+                    found[number] = Length(len(route.actions), route.outcome)
+        return found
 
-    def _replayed(self, start: npt.ArrayLike, heading: float, actions: npt.ArrayLike) -> tuple[Floats, Indices]:
-        taken = np.array(actions, np.int8).reshape(-1)
-        return replay_kernel(self.pathfinder.query_mesh, self._gait(heading), one_point(start)[0], taken)
+    def places(
+        self, starts: npt.ArrayLike, headings: Sequence[float], actions: Sequence[npt.NDArray[np.int8]]
+    ) -> list[Floats]:
+        """Return for each of n agents that take ``actions`` from ``starts`` (n, 3) the positions (k, 3): its start, and
+        where it is after each forward step.
+        """
+        if not len(headings):
+            return []
+        ends = np.cumsum([len(one) for one in actions])
+        places, place_ends = replay_many(
+            self.pathfinder.query_mesh, *self._gaits(headings), many_points(starts),
+            np.concatenate(actions).astype(np.int8), ends,
+        )  # fmt: skip
+        return np.split(places, place_ends[:-1])
+
+    def _gaits(self, headings: Sequence[float]) -> tuple[Gait, Floats, npt.NDArray[np.float64]]:
+        gaits = [self._gait(heading) for heading in headings]
+        return gaits[0], np.array([gait.moves for gait in gaits]), np.array(headings, np.float64)
 
     def stepped(self, start: npt.ArrayLike, heading: float) -> SteppedWalk:
         """Return a walk for an agent that chooses each action after seeing the current pose."""
@@ -208,7 +261,7 @@ class Follower:
         return _gait(float(heading), self.space, self.sliding)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _gait(heading: float, space: ActionSpace, sliding: bool) -> Gait:
     turn = math.radians(space.turn)
     facing = [heading + k * turn for k in range(space.headings)]
@@ -260,6 +313,8 @@ def _warm_up() -> None:
     route = follower.follow([0.1, 0.0, 0.5], 0.0, [0.9, 0.0, 0.5])
     follower.walk([0.1, 0.0, 0.5], 0.0, route.actions)
     follower.stepped([0.1, 0.0, 0.5], 0.0).take(FORWARD)
+    follower.lengths([[0.1, 0.0, 0.5]], [0.0], [[0.9, 0.0, 0.5]])
+    follower.places([[0.1, 0.0, 0.5]], [0.0], [route.actions])
 
 
 register_warm_up("follower", _warm_up)

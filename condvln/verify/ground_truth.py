@@ -4,8 +4,8 @@ reference path.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from condvln.verify.walks import Walks
 from schemas.config.constants import PATH_SPACING
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["check_truth"]
+__all__ = ["check_truths"]
 
 F64 = NDArray[np.float64]
 
@@ -28,24 +28,57 @@ SLACK: Final = 1e-6
 """Tolerance in steps: a segment of 2.5000000001 m is ten steps of 0.25 m and not eleven."""
 
 
-def check_truth(row: ManifestEpisode, truth: Mapping[str, Any] | None, walks: Walks, certificate: Certificate) -> None:
-    """Check the ground-truth entry of a row."""
+class _Told(NamedTuple):
+    """What a ground-truth entry says: locations (n, 3) in metres, number of forward steps, and actions (n,) if any."""
+
+    locations: F64
+    forward: Any
+    actions: NDArray[np.int8] | None
+
+
+def check_truths(
+    rows: Sequence[ManifestEpisode],
+    truths: Sequence[Mapping[str, Any] | None],
+    walks: Walks,
+    certificates: Sequence[Certificate],
+) -> None:
+    """Check the ground-truth entries of the rows of a scene. All actions are executed together."""
+    told = [_told(truth) for truth in truths]
+    walked = [
+        (row, its.actions)
+        for row, its in zip(rows, told, strict=True)
+        if its is not None and its.actions is not None and 0 <= row.gold_leaf < len(row.leaves)
+    ]
+    yaws = [yaw_of(row.start_rotation) or 0.0 for row, _ in walked]
+    along = iter(walks.along([row.start_position for row, _ in walked], yaws, [taken for _, taken in walked]))
+    for row, its, certificate in zip(rows, told, certificates, strict=True):
+        if its is None:
+            certificate.holds("ground_truth", False, row.episode_id, "no such entry, or a malformed one")
+        else:
+            _check(row, its, along, certificate)
+
+
+def _told(truth: Mapping[str, Any] | None) -> _Told | None:
     try:
         assert truth is not None
         locations = np.array(truth["locations"], dtype=np.float64).reshape(-1, 3)
         forward, actions = truth["forward_steps"], truth.get("actions")
-        taken = None if actions is None else np.array(actions, dtype=np.int8)
-    except (AssertionError, KeyError, TypeError, ValueError):
-        certificate.holds("ground_truth", False, row.episode_id, "no such entry, or a malformed one")
-        return
-    certificate.same("ground_truth", forward, len(locations) - 1, "forward_steps")
+        return _Told(locations, forward, None if actions is None else np.array(actions, dtype=np.int8))
+    except (AssertionError, KeyError, OverflowError, TypeError, ValueError):
+        return None
+
+
+def _check(row: ManifestEpisode, told: _Told, executed: Iterator[F64], certificate: Certificate) -> None:
+    """Check one entry. `executed` yields the places to which its actions lead, if it has any."""
+    locations = told.locations
+    certificate.same("ground_truth", told.forward, len(locations) - 1, "forward_steps")
     if not 0 <= row.gold_leaf < len(row.leaves):
         return
-    if taken is None:
+    if told.actions is None:
         along = _cut(np.array(row.leaves[row.gold_leaf].reference_path), PATH_SPACING)
     else:
-        along = walks.along(row.start_position, yaw_of(row.start_rotation) or 0.0, taken)
-        _check_actions(row, taken, along, certificate)
+        along = next(executed)
+        _check_actions(row, told.actions, along, certificate)
     off = float(np.abs(along - locations).max(initial=0.0)) if along.shape == locations.shape else np.inf
     certificate.holds("ground_truth", off <= ROUNDED, "the places gone through", f"{off} m off", "locations")
 

@@ -20,7 +20,7 @@ from condvln.verify.geodesics import Geodesics, Point
 from condvln.verify.heading import yaw_of
 from condvln.verify.kernels.separation import clearances, near_goals
 from condvln.verify.rules import VerifierRules
-from condvln.verify.walks import Walks
+from condvln.verify.walks import Walks, Way
 from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
@@ -113,11 +113,13 @@ def check_placement(
     checker.look_out(obstacles)
     crossed = iter(obstacles.crossed(lines.corners, lines.corner_ends))
     groups = _Groups(rows)
-    for row, certificate, places in zip(rows, certificates, placed, strict=True):
+    ways = [_ways(row, places) for row, places in zip(rows, placed, strict=True)]
+    walks.ask(way for its in ways for way in its)
+    for row, certificate, places, its in zip(rows, certificates, placed, ways, strict=True):
         met = [next(crossed) for _ in row.leaves]
         certificate.holds("in_the_way", met.count(None) == len(met), "free paths", met, "paths")
         checker.check(row, places, certificate)
-        _check_budget(row, places, groups, walks, rules, certificate)
+        _check_budget(row, its, groups, walks, rules, certificate)
 
 
 class _Lines:
@@ -370,9 +372,24 @@ class _Groups:
         return max(members)
 
 
+def _ways(row: ManifestEpisode, placed: _Placed) -> list[Way]:
+    """Return the walks to the leaves of a row; none if its rotation is not about the vertical axis."""
+    yaw = yaw_of(row.start_rotation)
+    if yaw is None:
+        return []
+    return [
+        (
+            row.start_position,
+            yaw,
+            (*[subgoal.places[0] for subgoal in leaf.subgoals], leaf.target.places[leaf.end]),
+        )
+        for leaf in placed.leaves
+    ]
+
+
 def _check_budget(
     row: ManifestEpisode,
-    placed: _Placed,
+    ways: Sequence[Way],
     groups: _Groups,
     walks: Walks,
     rules: VerifierRules,
@@ -381,16 +398,14 @@ def _check_budget(
     """Check the step budget against the configuration, the actions of the longest leaf and, if the budget is
     proportional to the text, the number of words.
     """
-    yaw = yaw_of(row.start_rotation)
-    certificate.holds("start_rotation", yaw is not None, "a turn about the vertical", row.start_rotation)
-    if yaw is None:
+    certificate.holds("start_rotation", bool(ways), "a turn about the vertical", row.start_rotation)
+    if not ways:
         return
     steps = 0
-    for k, leaf in enumerate(placed.leaves):
-        stops = (*[subgoal.places[0] for subgoal in leaf.subgoals], leaf.target.places[leaf.end])
-        route = walks.to(row.start_position, yaw, stops)
-        certificate.holds("budget", route.arrived, "a walk that arrives", route.outcome, f"leaf {k}")
-        steps = max(steps, len(route.actions))
+    for k, way in enumerate(ways):
+        walk = walks.length(way)
+        certificate.holds("budget", walk.arrived, "a walk that arrives", walk.outcome, f"leaf {k}")
+        steps = max(steps, walk.actions)
     ceiling, per_word = rules.episodes.step_ceiling, rules.text.steps_per_word
     certificate.holds("budget", 2 * steps <= ceiling, f"at most {ceiling}", 2 * steps, "twice the actions")
     words = per_word * groups.words(row, certificate)

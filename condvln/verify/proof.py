@@ -18,7 +18,7 @@ from condvln.verify.corpus import Corpus
 from condvln.verify.episode_record import check_record
 from condvln.verify.files import ExportFiles, Row
 from condvln.verify.footprints import Obstacles
-from condvln.verify.ground_truth import check_truth
+from condvln.verify.ground_truth import check_truths
 from condvln.verify.observability import Surfaces, check_observability, sight_of
 from condvln.verify.placement import check_placement
 from condvln.verify.program_check import check_program
@@ -130,8 +130,7 @@ def prove_scene(
     walks = Walks(Follower(navmesh.pathfinder, max_actions=rules.episodes.step_ceiling))
     manifests = [row.manifest for row in rows]
     check_placement(manifests, certificates, scene, navmesh.pathfinder, walks, obstacles, rules, walls=sight.walls)
-    for row, certificate in zip(rows, certificates, strict=True):
-        check_truth(row.manifest, row.truth, walks, certificate)
+    check_truths(manifests, [row.truth for row in rows], walks, certificates)
     check_observability(manifests, certificates, sight, referents, rules.places.eye_height)
 
 

@@ -1,16 +1,20 @@
-"""The walks of a scene's episodes, each made once."""
+"""The walks of a scene's episodes, each made once, and all together."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.navigation.follower import FORWARD, FollowedRoute, Follower
+from condvln.navigation.follower import Follower, Length
 from condvln.verify.geodesics import Point
 
-__all__ = ["Walks"]
+__all__ = ["Walks", "Way"]
 
 F64 = NDArray[np.float64]
+Way = tuple[Point, float, tuple[Point, ...]]
+"""A start, the heading there in radians, and the stops in turn."""
 
 
 class Walks:
@@ -20,21 +24,21 @@ class Walks:
 
     def __init__(self, follower: Follower) -> None:
         self._follower = follower
-        self._routes: dict[tuple[Point, float, tuple[Point, ...]], FollowedRoute] = {}
+        self._lengths: dict[Way, Length] = {}
 
-    def to(self, start: Point, yaw: float, stops: tuple[Point, ...]) -> FollowedRoute:
-        """Return the walk from ``start``, facing ``yaw`` in radians, to each of ``stops`` in turn."""
-        key = (start, yaw, stops)
-        route = self._routes.get(key)
-        if route is None:
-            route = self._routes[key] = self._follower.follow(start, yaw, stops)
-        return route
+    def ask(self, ways: Iterable[Way]) -> None:
+        """Make all walks that were not made before."""
+        new = [way for way in dict.fromkeys(ways) if way not in self._lengths]
+        starts, headings, stops = zip(*new, strict=True) if new else ((), (), ())
+        self._lengths.update(zip(new, self._follower.lengths(starts, headings, stops), strict=True))
 
-    def along(self, start: Point, yaw: float, actions: NDArray[np.int8]) -> F64:
-        """Return the positions (n, 3) of an agent that executes ``actions``: ``start``, then the position after each
+    def length(self, way: Way) -> Length:
+        """Return how long a walk is that was asked for."""
+        return self._lengths[way]
+
+    def along(self, starts: Sequence[Point], yaws: Sequence[float], actions: Sequence[NDArray[np.int8]]) -> list[F64]:
+        """Return the positions (n, 3) of each agent that executes its actions: its start, then its position after each
         forward step.
         """
-        places = self._follower.places(start, yaw, actions)
-        moved = np.ones(len(places), dtype=bool)
-        np.equal(actions.reshape(-1), FORWARD, out=moved[1:])
-        return places[moved].astype(np.float64)
+        places = self._follower.places(starts, yaws, [taken.reshape(-1) for taken in actions])
+        return [np.asarray(its, dtype=np.float64) for its in places]

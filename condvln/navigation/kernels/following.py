@@ -449,3 +449,61 @@ def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.i
             places[i + 1, axis] = place.asked[axis]
     keep(held)
     return places, facing
+
+
+@compiled
+def follow_many(
+    mesh: QueryMesh,
+    gait: Gait,
+    moves: Floats,
+    headings: npt.NDArray[np.float64],
+    starts: Floats,
+    goals: Floats,
+    goal_ends: Indices,
+    limits: Limits,
+    max_actions: int,
+) -> tuple[Indices, Indices]:
+    """Return the number of actions (n,), the last STOP included, and the outcome (n,) of n walks as by `follow`.
+
+    moves (n, h, 2), headings (n,), starts (n, 3) : of each walk; ``gait`` holds the rest, which all share
+    goals (g, 3), goal_ends (n,) : of all walks, concatenated
+    """
+    made, outcomes = np.empty(len(starts), np.int64), np.empty(len(starts), np.int64)
+    first = 0
+    for walk in range(len(starts)):
+        own = Gait(moves[walk], headings[walk], gait.turn, gait.length, gait.sliding)
+        actions, _, _, _, outcome = follow(
+            mesh, own, starts[walk], goals[first : goal_ends[walk]], limits, max_actions, False
+        )
+        made[walk], outcomes[walk] = len(actions), outcome
+        first = goal_ends[walk]
+    return made, outcomes
+
+
+@compiled
+def replay_many(
+    mesh: QueryMesh,
+    gait: Gait,
+    moves: Floats,
+    headings: npt.NDArray[np.float64],
+    starts: Floats,
+    actions: npt.NDArray[np.int8],
+    ends: Indices,
+) -> tuple[Floats, Indices]:
+    """Return the start of each of n walks and the position after each of its forward steps, concatenated (p, 3), and
+    the end index (n,) of each walk there.
+
+    moves, headings, starts, gait : as for `follow_many`
+    actions (a,), ends (n,) : of all walks, concatenated, and where each ends
+    """
+    found, found_ends = np.empty((len(starts) + len(actions), 3), np.float32), np.empty(len(starts), np.int64)
+    first, count = 0, 0
+    for walk in range(len(starts)):
+        own = Gait(moves[walk], headings[walk], gait.turn, gait.length, gait.sliding)
+        places, _ = replay(mesh, own, starts[walk], actions[first : ends[walk]])
+        for at in range(len(places)):
+            if at == 0 or actions[first + at - 1] == FORWARD:
+                found[count] = places[at]
+                count += 1
+        first, found_ends[walk] = ends[walk], count
+    return found[:count], found_ends

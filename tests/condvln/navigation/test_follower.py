@@ -40,6 +40,15 @@ def check_walk(follower: Follower, route: FollowedRoute, start: np.ndarray, head
     np.testing.assert_array_equal(places, route.locations)
     walk = follower.walk(start, heading, actions)
     np.testing.assert_array_equal(walk.positions[-1], route.locations[-1])
+    # Many walks together are those made one by one.
+    aside = pathfinder.snap_point(np.float32(start) + np.float32([0.3, 0.0, 0.0]))
+    begins = [(np.float32(start), heading), (aside, heading + 1.0), (np.float32(start), heading)]
+    alone = [follower.follow(*begin, goals) for begin in begins]
+    starts, headings = (list(part) for part in zip(*begins, strict=True))
+    assert follower.lengths(starts, headings, [goals] * 3) == [(len(one.actions), one.outcome) for one in alone]
+    together = follower.places(starts, headings, [one.actions for one in alone])
+    for one, found in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(found, one.locations)
     # Each goal is met on the way, in order.
     assert np.all(np.diff(route.arrivals) >= 0)
     for goal, arrival in zip(goals.reshape(-1, 3), route.arrivals, strict=True):

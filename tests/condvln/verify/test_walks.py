@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.verify.ground_truth import _told
 from condvln.verify.kernels.passing import passed_and_left
 from condvln.verify.walks import Walks
 
@@ -29,38 +32,36 @@ def test_a_walk_is_made_once_for_each_start_heading_and_stops(
     follower: Follower, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
-    made = follower.follow
-    monkeypatch.setattr(follower, "follow", lambda *given: asked.append(given) or made(*given))
+    made = follower.lengths
+    monkeypatch.setattr(follower, "lengths", lambda *given: asked.extend(zip(*given, strict=True)) or made(*given))
     walks = Walks(follower)
     ways = [(START, 0.3, STOPS), (START, 0.4, STOPS), (START, 0.3, STOPS[:1]), ((3.4, 0.0, 0.5), 0.3, STOPS)]
-    for _ in range(2):
-        for way in ways:
-            route, again = walks.to(*way), made(*way)
-            assert route.arrived
-            np.testing.assert_array_equal(route.actions, again.actions)
-            np.testing.assert_array_equal(route.locations, again.locations)
+    for these in (ways[:2], [*ways, *ways], [], ways):
+        walks.ask(these)
+    for way in ways:
+        route = follower.follow(*way)
+        assert route.arrived
+        assert walks.length(way) == (len(route.actions), "arrived")
+        assert walks.length(way).arrived
     assert asked == ways
 
 
 def test_places_of_actions_are_those_of_executing_them(follower: Follower) -> None:
     """Of a walk that was made, of the same actions from elsewhere or facing elsewhere, and of other actions."""
     walks = Walks(follower)
-    known = walks.to(START, 0.3, STOPS).actions
+    known = follower.follow(START, 0.3, STOPS).actions
     other = np.array([LEFT, FORWARD, RIGHT, RIGHT, *[FORWARD] * 30, STOP], np.int8)
-    for start, yaw in ((START, 0.3), (START, 0.4), ((3.4, 0.0, 0.5), 0.3)):
-        for actions in (known, other, known[:-1]):
-            expected = replayed(follower, start, yaw, actions)
-            for _ in range(2):
-                np.testing.assert_array_equal(walks.along(start, yaw, actions), expected)
-
-
-@pytest.mark.parametrize("shape", [(1, -1), (-1, 1), (2, -1)])
-def test_actions_of_another_shape_are_taken_one_by_one(follower: Follower, shape: tuple[int, int]) -> None:
-    actions = np.array([LEFT, FORWARD, RIGHT, RIGHT, FORWARD, FORWARD], np.int8)
-    walks = Walks(follower)
-    expected = replayed(follower, START, 0.3, actions)
-    np.testing.assert_array_equal(walks.along(START, 0.3, actions.reshape(shape)), expected)
-    assert len(walks.along(START, 0.3, actions[:0])) == 1
+    asked = [
+        (start, yaw, actions)
+        for start, yaw in ((START, 0.3), (START, 0.4), ((3.4, 0.0, 0.5), 0.3))
+        for actions in (known, other, known[:-1], known[:0], other[::-1].reshape(5, -1), other[:8].reshape(2, 2, 2))
+    ]
+    together = walks.along(*[list(part) for part in zip(*asked, strict=True)])
+    for (start, yaw, actions), places in zip(asked, together, strict=True):
+        expected = replayed(follower, start, yaw, actions.reshape(-1))
+        np.testing.assert_array_equal(places, expected)
+        np.testing.assert_array_equal(walks.along([start], [yaw], [actions])[0], expected)
+    assert walks.along([], [], []) == []
 
 
 def test_stops_are_passed_in_turn() -> None:
@@ -80,3 +81,11 @@ def test_stops_are_passed_in_turn() -> None:
         assert left == np.linalg.norm(goals - along[-1], axis=1).min()
         found.add(tuple(expected))
     assert {(True, False), (False, True), (True, True)} <= found
+
+
+@pytest.mark.parametrize(
+    "change", [{"actions": [300]}, {"locations": [[10**400, 0, 0]]}, {"actions": [1, [2]]}, {"actions": {}}]
+)
+def test_a_ground_truth_of_impossible_numbers_is_malformed(change: dict[str, Any]) -> None:
+    assert _told({"locations": [[0, 0, 0]], "forward_steps": 0, "actions": [0]}) is not None
+    assert _told({"locations": [[0, 0, 0]], "forward_steps": 0, "actions": [0], **change}) is None
