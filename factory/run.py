@@ -30,6 +30,7 @@ from factory.context import RunContext
 from factory.deadline import terminable
 from factory.executor import Executor, InlineExecutor
 from factory.faults import FaultPlan
+from factory.garbage import exempt_what_is_loaded
 from factory.heartbeat import Busy, Heartbeat, busy_message
 from factory.index import Index, IndexWriter, failed_keys
 from factory.inventory import Inventory, missing_parts
@@ -130,6 +131,7 @@ def run(
     When another run publishes under ``ref`` meanwhile, that one stands, and the report's message says so. Raises
     ``StoreError`` when the store refuses (what was committed stays), ``KeyboardInterrupt`` on Ctrl-C and on SIGTERM.
     """
+    exempt_what_is_loaded()
     with terminable() as stop:
         return _Run(
             pipeline=pipeline,

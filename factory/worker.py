@@ -27,7 +27,7 @@ from factory.commits import UNIT_FILE, Commits, Committed
 from factory.context import RunContext
 from factory.deadline import Deadline
 from factory.faults import FaultPlan
-from factory.garbage import collected_between_units
+from factory.garbage import collected_between_units, exempt_what_is_loaded
 from factory.heartbeat import Place
 from factory.kept_tables import kept_tables
 from factory.key import Keyer, StageKey
@@ -63,6 +63,7 @@ class Worker:
         may_exit : this process may be ended when a unit hangs in compiled code
         slots : how many workers share this machine's memory; on its last try a unit has the machine to itself
         """
+        exempt_what_is_loaded()
         self.context = context
         self._ceiling = MemoryCeiling(context.memory or share(slots))
         self._last_ceiling = MemoryCeiling(context.memory or share(1)) if slots > 1 else self._ceiling

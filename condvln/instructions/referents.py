@@ -321,13 +321,12 @@ def meant_by(
     ----------
     labels, may_be : of the objects, (n,) each
     """
-    meant = {word: vocabulary.overlapping(word) for word in words}
-    found = [
-        [not meant[word].isdisjoint((label, *open_)) for label, open_ in zip(labels, may_be, strict=True)]
-        for word in meant
-    ]
-    rows = {word: row for row, word in enumerate(meant)}
-    table = np.array(found, dtype=bool).reshape(len(meant), len(labels))
+    rows = {word: row for row, word in enumerate(dict.fromkeys(words))}
+    table = np.zeros((len(rows), len(labels)), dtype=bool)
+    for column, (label, open_) in enumerate(zip(labels, may_be, strict=True)):
+        for own in (label, *open_):
+            for word in rows.keys() & vocabulary.overlapping(own):  # which is symmetric
+                table[rows[word], column] = True
     return np.asarray(table[[rows[word] for word in words]])
 
 

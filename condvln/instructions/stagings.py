@@ -109,17 +109,17 @@ class _Draws:
     """
 
     def __init__(self, counts: pa.Table, group_weights: Mapping[str, float]) -> None:
-        columns: dict[str, list[Any]] = counts.to_pydict()
-        named = list(zip(*(columns[name] for name in _STATEMENT), strict=True))
-        self.statements: list[Statement] = list(dict.fromkeys(named))
-        numbers = {statement: k for k, statement in enumerate(self.statements)}
-        statement = np.array([numbers[name] for name in named], np.int64)
-        rooms = list(zip(columns["staging"], columns["room_type"], strict=True))
-        predicates = columns["predicate"]
-        form = _numbered(list(zip(rooms, predicates, columns["definite"], strict=True)))
-        group = _numbered([(room, GROUP_OF[p]) for room, p in zip(rooms, predicates, strict=True)])
-        room = _numbered(rooms)
-        seen = np.stack([np.array(columns[name], np.float64) for name in ("n_false", "n_true")])
+        texts = {name: _texts(counts[name]) for name in ("staging", *_STATEMENT[:-1])}
+        definite = counts["definite"].to_numpy()
+        statement, first = _numbered(*(texts[name][1] for name in _STATEMENT[:-1]), definite)
+        columns = [[texts[name][0][k] for k in texts[name][1][first].tolist()] for name in _STATEMENT[:-1]]
+        self.statements: list[Statement] = list(zip(*columns, definite[first].tolist(), strict=True))
+        named, predicate = texts["predicate"]
+        groups = [GROUP_OF[name] for name in named]
+        room, _ = _numbered(texts["staging"][1], texts["room_type"][1])
+        form, _ = _numbered(room, predicate, definite)
+        group, _ = _numbered(room, np.array([groups.index(name) for name in groups], np.int64)[predicate])
+        seen = np.stack([counts[name].to_numpy().astype(np.float64) for name in ("n_false", "n_true")])
         n = len(self.statements)
         counted = np.stack([np.bincount(statement, side, n) for side in seen[::-1]], axis=1, dtype=np.float64)
         base = statement_weights(counted, STAGINGS)
@@ -129,13 +129,13 @@ class _Draws:
         self.own = statement[at]
         self.weights = seen[self.truth, at] * np.stack([base[False], base[True]])[self.truth, self.own]
         self.form, self.group = form[at], group[at]
-        self.staging = _numbered(columns["staging"])[at]
+        self.staging = texts["staging"][1][at]
         more = np.bincount(self.own, 2.0 * self.truth - 1.0, n)
         self.usual = np.sign(np.where(more != 0, more, [_coin(one) for one in self.statements]))
         self._group_of_form = _of_each(form, group)
         self._room_of_group = _of_each(group, room)
-        weights = np.array([group_weights[GROUP_OF[p]] for p in predicates], np.float64)
-        self._group_weights = _of_each(group, weights)
+        weights = np.array([group_weights[name] for name in groups], np.float64)
+        self._group_weights = _of_each(group, weights[predicate])
 
     def factors(self, part: float) -> F64:
         """Return one factor for each statement, with which `part` of a fair coin's excess is left."""
@@ -194,10 +194,24 @@ def _coin(statement: Statement) -> int:
     return 1 if hashlib.blake2b(repr(statement).encode(), digest_size=1).digest()[0] & 1 else -1
 
 
-def _numbered(keys: list[Any]) -> NDArray[np.int64]:
-    """Return numbers from 0 of `keys`, in the order in which they first occur."""
-    known: dict[Any, int] = {}
-    return np.array([known.setdefault(key, len(known)) for key in keys], np.int64)
+def _texts(column: pa.ChunkedArray) -> tuple[list[Any], NDArray[np.int64]]:
+    """Return the distinct texts of a column, in the order in which they first occur, and the number of each row's."""
+    coded = pa.concat_arrays(column.chunks).dictionary_encode()
+    return coded.dictionary.to_pylist(), coded.indices.to_numpy().astype(np.int64)
+
+
+def _numbered(*columns: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Return numbers from 0 of the rows of `columns` (n,), in the order in which they first occur; and the row in which
+    each first occurs.
+    """
+    keys = np.zeros(len(columns[0]), np.int64)
+    for column in columns:
+        keys = keys * (int(column.max(initial=0)) + 1) + column
+    _, first, numbers = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    return place[numbers], first[order]
 
 
 def _of_each(number: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:

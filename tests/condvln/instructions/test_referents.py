@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from condvln.instructions.predicates import PREDICATE_GROUPS
-from condvln.instructions.referents import Referents, object_refs, room_refs
+from condvln.instructions.referents import Referents, meant_by, object_refs, room_refs
 from condvln.labels import vocabulary
 from condvln.labels.roles import labels_with_role
 from condvln.relations import PAIR_PREDICATES
@@ -302,3 +302,19 @@ def test_what_a_nameless_thing_may_be_names_no_other_room() -> None:
 
 def test_a_single_room_needs_no_name() -> None:
     assert named(("apartment", ["sofa"], True)) == {"r0": (RoomRef(room_id="r0", label="apartment"),)}
+
+
+SOME_LABELS = st.sampled_from(
+    ("bed", "lamp", "table", "desk", "side table", "counter", "vase", "bowl", "no such label")
+)
+
+
+@given(
+    st.lists(SOME_LABELS, max_size=5),
+    st.lists(st.tuples(SOME_LABELS, st.frozensets(SOME_LABELS, max_size=3)), max_size=6),
+)
+def test_a_word_means_what_is_or_may_be_called_so(words: list[str], things: list[tuple[str, frozenset[str]]]) -> None:
+    found = meant_by(words, [label for label, _ in things], [may_be for _, may_be in things], vocabulary)
+    assert found.shape == (len(words), len(things))
+    for word, row in zip(words, found.tolist(), strict=True):
+        assert row == [bool(vocabulary.overlapping(word) & {label, *may_be}) for label, may_be in things]
