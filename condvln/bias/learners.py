@@ -8,18 +8,20 @@ import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cache, lru_cache, reduce
 from itertools import pairwise, product
-from typing import Final
+from operator import add
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from condvln.bias.blocks import NO_GUESS, progressive
 from condvln.bias.guesser_view import Asked, GuesserView
 from condvln.bias.regression import Guesses, regressed
 from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
-from schemas.program import SHAPES, Category
+from schemas.program import CATEGORIES, SHAPES, Category
 
 __all__ = ["LEARNED", "Learner", "content_words", "leaf_truths"]
 
@@ -106,40 +108,71 @@ def _prior(key: Callable[[Asked], tuple[str, ...]], *, against: bool = False) ->
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-        seen: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
+        asked = _Statements.of(views, key)
+        category = np.array([CATEGORIES.index(view.category) for view in views])
+        seen = np.zeros((asked.different, 4))
         counted = 0
         for learned, guessed in progressive([view.scene for view in views]):
-            for k in learned[counted:].tolist():
-                usual = _usual_truth(views[k].category)
-                for asked, share in zip(views[k].asked, usual, strict=True):
-                    counts = seen[key(asked)]
-                    counts[asked.truth] += 1.0
-                    counts[2] += 1.0 - share
-                    counts[3] += share
+            asked.add_to(seen, learned[counted:])
             counted = len(learned)
-            for k in guessed.tolist():
-                scores = _scores(views[k], seen, key)
-                guesses[k] = scores.index(min(scores) if against else max(scores))
+            for code in np.unique(category[guessed]).tolist():
+                mine = guessed[category[guessed] == code]
+                scores = asked.scores(seen, mine, CATEGORIES[code])
+                guesses[mine] = (scores.argmin if against else scores.argmax)(axis=0)
         return guesses
 
     return learner
 
 
-def _scores(
-    view: GuesserView, seen: Mapping[tuple[str, ...], Sequence[float]], key: Callable[[Asked], tuple[str, ...]]
-) -> list[float]:
-    """Return a score for each leaf, larger if statements were often true and false as on the way to this leaf."""
-    ratios = []
-    for asked, share in zip(view.asked, _usual_truth(view.category), strict=True):
-        false, true, usual_false, usual_true = seen.get(key(asked), (0.0, 0.0, 0.0, 0.0))
-        ratios.append(
-            (
-                (false + PRIOR_WEIGHT * (1.0 - share)) / (usual_false + PRIOR_WEIGHT * (1.0 - share)),
-                (true + PRIOR_WEIGHT * share) / (usual_true + PRIOR_WEIGHT * share),
-            )
+class _Statements(NamedTuple):
+    """The statements of all conditions of some episodes, one after the other.
+
+    different : number of different statements; begins : (episodes,) place of each episode's first condition
+    statement, truth, share : number and truth of each, and how often it is true if all leaves are equally often gold
+    """
+
+    different: int
+    begins: NDArray[np.int64]
+    statement: NDArray[np.int64]
+    truth: NDArray[np.int64]
+    share: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, views: Sequence[GuesserView], key: Callable[[Asked], tuple[str, ...]]) -> _Statements:
+        """Return the statements of `views`; `key` says which conditions state the same."""
+        numbers: dict[tuple[str, ...], int] = {}
+        asked = [one for view in views for one in view.asked]
+        statement = np.array([numbers.setdefault(key(one), len(numbers)) for one in asked], dtype=np.int64)
+        return cls(
+            len(numbers),
+            np.cumsum([0, *(len(view.asked) for view in views)], dtype=np.int64),
+            statement,
+            np.array([one.truth for one in asked], dtype=np.int64),
+            np.array([share for view in views for share in _usual_truth(view.category)]),
         )
-    odds = np.log(ratios).tolist()
-    return [sum([odds[k][truth] for k, truth in way]) for way in leaf_truths(view.category)]
+
+    def add_to(self, seen: NDArray[np.float64], episodes: NDArray[np.int64]) -> None:
+        """Add the statements of `episodes` to `seen`, (statements, 4): how often each was false and true, and how often
+        that is to be expected.
+        """
+        sizes = self.begins[episodes + 1] - self.begins[episodes]
+        firsts = np.repeat(self.begins[episodes] - (np.cumsum(sizes) - sizes), sizes)
+        places = firsts + np.arange(len(firsts))
+        statement, share = self.statement[places], self.share[places]
+        np.add.at(seen, (statement, self.truth[places]), 1.0)
+        np.add.at(seen[:, 2], statement, 1.0 - share)
+        np.add.at(seen[:, 3], statement, share)
+
+    def scores(self, seen: NDArray[np.float64], episodes: NDArray[np.int64], category: Category) -> NDArray[np.float64]:
+        """Return a score for each leaf of each of `episodes`, which are of one category, (leaves, episodes): larger if
+        statements were often true and false as on the way to this leaf.
+        """
+        usual = np.array(_usual_truth(category))
+        prior = PRIOR_WEIGHT * np.stack([1.0 - usual, usual], axis=1)
+        counts = seen[self.statement[self.begins[episodes][:, None] + np.arange(len(usual))]]
+        odds = np.log((counts[..., :2] + prior) / (counts[..., 2:] + prior))
+        ways = leaf_truths(category)
+        return np.array([reduce(add, [odds[:, k, int(truth)] for k, truth in way]) for way in ways])
 
 
 def _in_layout(learner: Learner) -> Learner:
@@ -225,7 +258,7 @@ def _form(view: GuesserView) -> Iterator[Hashable]:
 def _voice(view: GuesserView) -> Iterator[str]:
     """Yield features of the phrasing: which connecting words a text has, how often, and which three come first."""
     phrases = _voice_words()
-    said = [word for word in _words(view) if word in phrases]
+    said = [*filter(phrases.__contains__, _words(view))]
     yield from (f"{word} {min(count, MOST_TIMES)} times" for word, count in Counter(said).items())
     yield f"first {' '.join(said[:3])}"
 

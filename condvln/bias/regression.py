@@ -8,6 +8,7 @@ solver; scikit-learn's, run to a small gradient, makes the same ones.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -93,17 +94,25 @@ def word_features(texts: Sequence[Iterable[Hashable]]) -> csr_matrix:
     """Return the feature matrix (episodes, words): 1 where a text contains the word. Very rare and very common words
     are left out.
     """
-    index: dict[Hashable, int] = {}
-    rows = [{index.setdefault(word, len(index)) for word in words} for words in texts]
-    lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
-    columns = np.fromiter(chain.from_iterable(rows), dtype=np.int64, count=int(lengths.sum()))
-    counts = np.bincount(columns, minlength=len(index))
+    index: defaultdict[Hashable, int] = defaultdict()
+    index.default_factory = index.__len__
+    rows = [[*map(index.__getitem__, words)] for words in texts]
+    offsets = np.cumsum([0, *map(len, rows)])
+    columns = np.fromiter(chain.from_iterable(rows), dtype=np.int64, count=int(offsets[-1]))
+    found = csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(rows), len(index)))
+    found.sum_duplicates()
+    found.data[:] = 1.0
+    counts = np.bincount(found.indices, minlength=len(index))
     fit = (counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * len(rows))
-    kept = fit[columns]
-    left = np.bincount(np.repeat(np.arange(len(rows)), lengths)[kept], minlength=len(rows))
-    offsets = np.concatenate([[0], np.cumsum(left)])
-    columns = (np.cumsum(fit) - 1)[columns[kept]]
-    return csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(rows), int(fit.sum())))
+    return _columns(found, fit)
+
+
+def _columns(features: csr_matrix, mask: Bools) -> csr_matrix:
+    """Return the columns of `features` that are in the mask."""
+    kept = mask[features.indices]
+    offsets = np.append(0, np.cumsum(kept))[features.indptr]
+    columns = (np.cumsum(mask) - 1)[features.indices[kept]]
+    return csr_matrix((features.data[kept], columns, offsets), shape=(features.shape[0], int(mask.sum())))
 
 
 def fitted_scores(features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> F64:
