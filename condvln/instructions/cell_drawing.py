@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,7 @@ __all__ = ["CellDrawing", "DrawnCandidate", "Seen"]
 I64 = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class DrawnCandidate:
+class DrawnCandidate(NamedTuple):
     """A program by numbers.
 
     rooms, room_names : the rooms, and which of its names each has

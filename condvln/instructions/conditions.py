@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,11 +122,30 @@ class ConditionPool:
         asked : predicates that conditions may use
         alone : weigh the statements for programs of one condition
         """
+        (found,) = cls.weighed(referents, bits, elsewhere, vocabulary, asked, (alone,))
+        return found
+
+    @classmethod
+    def weighed(
+        cls,
+        referents: Referents,
+        bits: PriorBits,
+        elsewhere: Iterable[str],
+        vocabulary: Vocabulary,
+        asked: Container[str],
+        ways: Sequence[bool],
+    ) -> tuple[ConditionPool, ...]:
+        """Return what `of` returns for each value of `alone` in `ways`; most of the work is shared."""
         if not referents.room.asked:
-            return cls(None, {})
+            return (cls(None, {}),) * len(ways)
         presence = _presence(referents, bits, elsewhere, vocabulary) if referents.complete else None
-        relations = _relations(referents, bits, vocabulary, asked, alone=alone)
-        return cls(presence, {**relations, **_bearings(referents, asked)})
+        bearings = _bearings(referents, asked)
+        counted = [
+            (truths, _Counted.of(referents, truths, bits))
+            for truths in statement_truths(referents, vocabulary)
+            if truths.predicate in asked
+        ]
+        return tuple(cls(presence, {**_relations(referents, counted, alone=alone), **bearings}) for alone in ways)
 
 
 def _presence(
@@ -155,16 +174,12 @@ def _presence(
 
 
 def _relations(
-    referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str], *, alone: bool
+    referents: Referents, counted: Iterable[tuple[StatementTruths, _Counted]], *, alone: bool
 ) -> dict[Form, RelationPool]:
     pools: dict[Form, RelationPool] = {}
     uneven: list[StatementTruths] = []
-    for truths in statement_truths(referents, vocabulary):
-        if truths.predicate not in asked:
-            continue
-        weights = _informative_tables(referents, truths, bits, alone=alone)
-        if weights is None:
-            weights = balanced_weights(truths.true, truths.false)
+    for truths, counts in counted:
+        weights = counts.weights(alone=alone) if counts.known else balanced_weights(truths.true, truths.false)
         if weights is not None:
             pools.update(_pools_of(referents, truths, weights))
         elif truths.predicate in COMPASS:
@@ -254,30 +269,63 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, Relatio
     }
 
 
-def _informative_tables(
-    referents: Referents, truths: StatementTruths, bits: PriorBits, *, alone: bool
-) -> dict[bool, F64] | None:
-    """Return the weights of all statements by truth, computed from counts in rooms of this type; None if the counts are
-    too small.
+class _OfTruth(NamedTuple):
+    """The s statements of one predicate about a room that have one truth.
+
+    rows, columns (s,) : where they stand in `StatementTruths.true` or `false`
+    weights (s,) : their weights
+    several, one (s,) : factors of the weights in programs of several conditions, and of one
+    label (s,) : factors of the weights of their label
     """
-    room_type, own = referents.room.label, referents.arrays.labels
-    tables = {True: np.zeros(truths.true.shape), False: np.zeros(truths.true.shape)}
-    evidence, definite = bits.evidence(room_type), truths.definite.tolist()
-    forms = [(room_type, label, truths.predicate, one) for label, one in zip(truths.labels, definite, strict=True)]
-    factors = np.array([bits.label_weights.get(form, (1.0, 1.0)) for form in forms])
-    anchors = [truths.anchor_key(column, own) for column in range(len(truths.anchors))]
-    known = False
-    for truth, support in ((True, truths.true), (False, truths.false)):
-        rows, columns = np.nonzero(support)
-        said = [
-            (room_type, truths.labels[row], truths.predicate, anchors[column], definite[row])
-            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-        ]
-        if said:
-            counts = np.array([bits.counts.get(statement, (0, 0)) for statement in said], dtype=np.float64)
-            factor = [bits.even.get(statement, UNCHANGED) for statement in said]
-            even = np.array([own.one if alone else own.several for own in factor])
-            known |= bool((counts.sum(axis=1) >= evidence).any())
-            weights = statement_weights(counts, evidence)[truth] * (even if truth else 1.0 / even)
-            tables[truth][rows, columns] = factors[rows, int(truth)] * weights
-    return tables if known else None
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    weights: F64
+    several: F64
+    one: F64
+    label: F64
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Counted:
+    """What the priors count of all statements of one predicate about a room.
+
+    shape : that of `StatementTruths.true`
+    known : at least one statement was counted in enough rooms
+    parts : the statements by truth
+    """
+
+    shape: tuple[int, ...]
+    known: bool
+    parts: Mapping[bool, _OfTruth]
+
+    @classmethod
+    def of(cls, referents: Referents, truths: StatementTruths, bits: PriorBits) -> _Counted:
+        room_type, own = referents.room.label, referents.arrays.labels
+        evidence, definite = bits.evidence(room_type), truths.definite.tolist()
+        forms = [(room_type, label, truths.predicate, one) for label, one in zip(truths.labels, definite, strict=True)]
+        factors = np.array([bits.label_weights.get(form, (1.0, 1.0)) for form in forms])
+        anchors = [truths.anchor_key(column, own) for column in range(len(truths.anchors))]
+        known, parts = False, dict[bool, _OfTruth]()
+        for truth, support in ((True, truths.true), (False, truths.false)):
+            rows, columns = np.nonzero(support)
+            said = [
+                (room_type, truths.labels[row], truths.predicate, anchors[column], definite[row])
+                for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+            ]
+            if said:
+                counts = np.array([bits.counts.get(statement, (0, 0)) for statement in said], dtype=np.float64)
+                even = [bits.even.get(statement, UNCHANGED) for statement in said]
+                known |= bool((counts.sum(axis=1) >= evidence).any())
+                weights = statement_weights(counts, evidence)[truth]
+                several, one = np.array([own.several for own in even]), np.array([own.one for own in even])
+                parts[truth] = _OfTruth(rows, columns, weights, several, one, factors[rows, int(truth)])
+        return cls(truths.true.shape, known, parts)
+
+    def weights(self, *, alone: bool) -> dict[bool, F64]:
+        """Return the weights of all statements by truth; `alone`: for programs of one condition."""
+        tables = {True: np.zeros(self.shape), False: np.zeros(self.shape)}
+        for truth, part in self.parts.items():
+            even = part.one if alone else part.several
+            tables[truth][part.rows, part.columns] = part.label * (part.weights * (even if truth else 1.0 / even))
+        return tables

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, Final, TypeVar, get_args
 
@@ -107,6 +107,14 @@ class ProgramParts:
             found = self._known[id(part)] = (part, orjson.dumps(document(part), option=orjson.OPT_SORT_KEYS))
         return found[1]
 
+    def texts(self, parts: Sequence[T], document: Callable[[T], Any]) -> list[bytes]:
+        """Return `text` of each part."""
+        known = self._known
+        try:
+            return [known[id(part)][1] for part in parts]
+        except KeyError:
+            return [self.text(part, document) for part in parts]
+
 
 def program_key(program: Program, parts: ProgramParts | None = None) -> str:
     """Return the SHA-256 of the program's canonical JSON, truths and witnesses included: equal keys mean equal
@@ -114,13 +122,13 @@ def program_key(program: Program, parts: ProgramParts | None = None) -> str:
 
     Whether a condition is definite follows from the scene, and is left out. `parts` has the parts of other programs.
     """
-    text = (ProgramParts() if parts is None else parts).text
-    leaves = [b",".join([text(move, move_document) for move in leaf.moves]) for leaf in program.leaves]
+    known = ProgramParts() if parts is None else parts
+    leaves = [b'{"moves":[%b]}' % b",".join(known.texts(leaf.moves, move_document)) for leaf in program.leaves]
     whole = b'{"branches":%b,"category":%b,"conditions":[%b],"leaves":[%b]}' % (
-        text(program.branches, branch_documents),
+        known.text(program.branches, branch_documents),
         orjson.dumps(program.category),
-        b",".join([text(condition, _told) for condition in program.conditions]),
-        b",".join([b'{"moves":[%b]}' % moves for moves in leaves]),
+        b",".join(known.texts(program.conditions, _told)),
+        b",".join(leaves),
     )
     return hashlib.sha256(whole).hexdigest()
 

@@ -104,9 +104,9 @@ class ProgramSampler:
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), words)
-        self.condition_sampler = self._condition_sampler(bits, alone=False)
         # Statements about stagings have other weights in programs of one condition.
-        self._alone = self._condition_sampler(bits, alone=True) if bits.even else self.condition_sampler
+        self.condition_sampler, *others = self._condition_samplers(bits, (False, True) if bits.even else (False,))
+        self._alone = others[0] if others else self.condition_sampler
         if not isinstance(stops, Stops):
             stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))
         self.stop_sampler = StopSampler(
@@ -120,26 +120,33 @@ class ProgramSampler:
         self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
         self._known_names: dict[int, NumberedNames] = {}
 
-    def _condition_sampler(self, bits: PriorBits, *, alone: bool) -> ConditionSampler:
-        """Return a sampler of conditions about the rooms that can be named.
-
-        alone : the conditions are for programs of one condition
+    def _condition_samplers(self, bits: PriorBits, ways: Sequence[bool]) -> list[ConditionSampler]:
+        """Return samplers of conditions about the rooms that can be named: for programs of one condition where `ways`
+        says so, else for those of several.
         """
-        pools = {name: (self.referents[name], self._pool(name, bits, alone=alone)) for name in self._names}
-        return ConditionSampler(pools, self.sampling, self.words, single_room=self.scene.single_room)
+        pools = {name: self._pools(name, bits, ways) for name in self._names}
+        return [
+            ConditionSampler(
+                {name: (self.referents[name], own[k]) for name, own in pools.items()},
+                self.sampling,
+                self.words,
+                single_room=self.scene.single_room,
+            )
+            for k in range(len(ways))
+        ]
 
     def _sampler_of(self, category: Category) -> ConditionSampler:
         """Return the sampler of conditions for programs of a category."""
         return self.condition_sampler if len(SHAPES[category].branches) > 1 else self._alone
 
-    def _pool(self, room_id: str, bits: PriorBits, *, alone: bool) -> ConditionPool:
+    def _pools(self, room_id: str, bits: PriorBits, ways: Sequence[bool]) -> tuple[ConditionPool, ...]:
         referents = self.referents[room_id]
         if self.scene.single_room:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
         asked = asked_in(self.scene.family) & self._sayable
-        return ConditionPool.of(referents, bits, elsewhere, self.words, asked, alone=alone)
+        return ConditionPool.weighed(referents, bits, elsewhere, self.words, asked, ways)
 
     @property
     def rejections(self) -> Counter[tuple[InstructionCell | None, str]]:

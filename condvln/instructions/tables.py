@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import accumulate
 from typing import Any, TypeVar
 
+import numpy as np
 import pyarrow as pa
 
 from condvln.instructions.programs import branch_documents, composition, condition_document, move_document
@@ -48,7 +49,9 @@ def instruction_table(
         "gold_leaf": golds,
         "moves": [len(program.leaves[gold].moves) for program, gold in zip(found, golds, strict=True)],
         "conditions": _conditions([program.conditions for program in found]),
-        "branches": [branch_documents(program.branches) for program in found],
+        "branches": _shared(
+            [program.branches for program in found], branch_documents, INSTRUCTIONS.field("branches").type
+        ),
         "leaves": _leaves([program.leaves for program in found]),
         "text": said,
         "words": [None if text is None else len(text.split()) for text in said],
@@ -74,17 +77,13 @@ def _leaves(rows: Sequence[Sequence[Leaf]]) -> pa.Array:
     return pa.ListArray.from_arrays(_offsets(rows), pa.StructArray.from_arrays([moves], fields=[leaf.field("moves")]))
 
 
-def _shared(parts: Sequence[T], document: Callable[[T], dict[str, Any]], kind: pa.DataType) -> pa.Array:
+def _shared(parts: Sequence[T], document: Callable[[T], Any], kind: pa.DataType) -> pa.Array:
     """Return `parts` as an array. What occurs several times is written once: programs of a scene share most
     of their parts.
     """
-    numbers: dict[int, int] = {}
-    distinct: list[dict[str, Any]] = []
-    for part in parts:
-        if id(part) not in numbers:
-            numbers[id(part)] = len(distinct)
-            distinct.append(document(part))
-    return pa.array(distinct, kind).take(pa.array([numbers[id(part)] for part in parts], pa.int64()))
+    identities = np.fromiter(map(id, parts), np.uint64, len(parts))
+    _, first, numbers = np.unique(identities, return_index=True, return_inverse=True)
+    return pa.array([document(parts[k]) for k in first.tolist()], kind).take(pa.array(numbers))
 
 
 def _offsets(rows: Sequence[Sequence[object]]) -> pa.Array:
