@@ -23,19 +23,18 @@ from jobs.export_lock import alone_in_export
 from jobs.export_origin import Origin, refuse_losses
 from jobs.export_pictures import card_pictures
 from jobs.listing import listed_units
-from jobs.oracle import linear_text
+from jobs.oracle import text_of_moves
 from jobs.pipeline import built_navmeshes
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
-from schemas.program import Program
+from schemas.program import Leaf
 
 __all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
 
 _COMPARED: Final = ("episodes", "instructions", "scenes")
-_PROGRAM: Final = ("category", "conditions", "branches", "leaves")
 
 
 def run_export(config: Config, *, allow_shrink: bool = False) -> Report:
@@ -238,9 +237,9 @@ def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> No
 
 def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[[Row, Row], str]:
     def text(episode: Row, instruction: Row) -> str:
-        program = Program.model_validate({name: instruction[name] for name in _PROGRAM})
+        leaf = Leaf.model_validate(instruction["leaves"][episode["gold_leaf"]])
         heading = episode["start_heading_degrees"]
-        return linear_text(program, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
+        return text_of_moves(leaf.moves, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
 
     return text
 

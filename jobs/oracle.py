@@ -22,9 +22,9 @@ from jobs.report import Report
 from schemas.config import WordingConfig
 from schemas.errors import UsageError
 from schemas.evaluation import ManifestEpisode
-from schemas.program import Program
+from schemas.program import ObjectRef, Program
 
-__all__ = ["linear_text", "oracle_split"]
+__all__ = ["linear_text", "oracle_split", "text_of_moves"]
 
 _SHARDS: Final = "content"
 _TRUTH: Final = "_gt.json.gz"
@@ -50,6 +50,19 @@ def linear_text(
     preamble : open with the start heading where compass words are used
     """
     moves = oracle_linear(program) if leaf is None else program.leaves[leaf].moves
+    return text_of_moves(moves, instruction_id, heading_degrees, wording, seed=seed, preamble=preamble)
+
+
+def text_of_moves(
+    moves: tuple[ObjectRef, ...],
+    instruction_id: str,
+    heading_degrees: float,
+    wording: WordingConfig | str = "en",
+    *,
+    seed: int,
+    preamble: bool,
+) -> str:
+    """Return the moves of one leaf as a plain instruction; the other parameters are those of :func:`linear_text`."""
     told = render_moves(moves, seed, instruction_id, wording)
     compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
     return with_preamble(told, heading_degrees, seed, instruction_id, wording) if preamble and compass else told
