@@ -132,7 +132,9 @@ class FewDraws(Draws):
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
-        if not self._few and isinstance(self._generator.bit_generator, np.random.PCG64):
+        if self._few:
+            return self._few.pop()
+        if isinstance(self._generator.bit_generator, np.random.PCG64):
             bits = self._generator.bit_generator
             if not self._is_begun:
                 # A block is read from its end, and each uniform is one step of the generator.

@@ -131,12 +131,12 @@ class Qualifier(Frozen):
     @property
     def anchor_ids(self) -> tuple[str, ...]:
         """Return the ids of the anchors, in the order in which the text names them."""
-        return tuple(anchor.object_id for anchor in self.anchors)
+        return tuple([anchor.object_id for anchor in self.anchors])
 
     @property
     def anchor_labels(self) -> tuple[str, ...]:
         """Return the canonical labels of the anchors, in the order in which the text names them."""
-        return tuple(anchor.label for anchor in self.anchors)
+        return tuple([anchor.label for anchor in self.anchors])
 
 
 class RoomRef(Frozen):

@@ -150,14 +150,17 @@ class SceneView:
         own = np.concatenate([target.owners for target in targets])
         target_of = np.repeat(np.arange(len(targets)), sizes)
         left = in_view(eyes, points, view)
-        turns = (np.arange(len(eyes))[:, None] + np.arange(len(points))) % LOOK_TURNS
         by_eye, by_point = np.zeros((len(eyes), len(targets)), bool), np.zeros(len(points), bool)
-        for turn in range(LOOK_TURNS):
-            eye, point = np.nonzero(left & (turns == turn))
+        eye_of, point_of = np.nonzero(left)
+        turns = ((eye_of + point_of) % LOOK_TURNS).astype(np.uint8)
+        order, ends = np.argsort(turns, kind="stable"), np.cumsum(np.bincount(turns, minlength=LOOK_TURNS))
+        for lines in np.split(order, ends[:-1]):
+            eye, point = eye_of[lines], point_of[lines]
+            wanted = ~(by_point[point] & by_eye[eye, target_of[point]])
+            eye, point = eye[wanted], point[wanted]
             clear = ~self._occluders.hidden(eyes[eye], points[point], own[point])
             by_eye[eye[clear], target_of[point[clear]]] = True
             by_point[point[clear]] = True
-            left &= ~(by_point & by_eye[:, target_of])
         yield from zip(by_eye.T, np.split(by_point, np.cumsum(sizes)[:-1]), strict=True)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:

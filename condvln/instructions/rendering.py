@@ -65,6 +65,7 @@ def heading_name(heading_degrees: float) -> str:
     return HEADINGS[round(steps) % len(HEADINGS)]
 
 
+@lru_cache(maxsize=1024)
 def voice_of(seed: int, instruction_id: str, wording: WordingConfig | str = "en") -> Voice:
     """Return the voice of an instruction, chosen from the allowed voices. If `wording` is only a language code, all
     voices of the language are allowed.
@@ -89,8 +90,13 @@ def _wording(wording: WordingConfig | str) -> WordingConfig:
 
 def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:
     """Return the sentence that states the start heading ("You're facing north-east.") in the words of a voice."""
+    return _facing(voice.slots["facing"][0], heading_name(heading_degrees), code)
+
+
+@lru_cache
+def _facing(phrase: str, heading: str, code: str) -> str:
     words = language(code)
-    return sentences(words, f"{voice.slots['facing'][0]} {words.directions[heading_name(heading_degrees)]}.")
+    return sentences(words, f"{phrase} {words.directions[heading]}.")
 
 
 def with_preamble(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from itertools import product
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from condvln.scene.quaternions import from_matrix, round_quaternion, to_matrix
+from condvln.scene.quaternions import stored_matrix, stored_quaternion
 from condvln.scene.scene import OrientedBox, round_mm
 
 __all__ = ["aabb_of", "box_corners", "corners", "oriented_box", "placement", "rounded_box", "transform_points"]
@@ -87,11 +86,5 @@ def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
 
 def rounded_box(box: OrientedBox) -> OrientedBox:
     """Return the box as it is stored: centre and half extents are rounded to 1 mm, and the rotation as a quaternion."""
-    rotation = _rounded_rotation(np.asarray(box.rotation, dtype=np.float64).tobytes()).copy()
+    rotation = stored_matrix(stored_quaternion(box.rotation))
     return OrientedBox(round_mm(box.center), round_mm(box.half_extents), rotation)
-
-
-@lru_cache(maxsize=1024)
-def _rounded_rotation(rotation: bytes) -> F64:
-    """Return a rotation (3, 3) float64 as it is stored. Most objects of a scene are turned by the same few angles."""
-    return to_matrix(round_quaternion(from_matrix(np.frombuffer(rotation).reshape(3, 3))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,8 @@ __all__ = [
     "rotation_y",
     "rotation_z",
     "round_quaternion",
+    "stored_matrix",
+    "stored_quaternion",
     "to_matrix",
 ]
 
@@ -92,6 +95,28 @@ def round_quaternion(xyzw: ArrayLike) -> F64:
             break
         q = again
     return q
+
+
+def stored_quaternion(rotation: F64) -> tuple[float, float, float, float]:
+    """Return a (3, 3) rotation as the rounded quaternion ``x, y, z, w`` that is stored for it."""
+    return _stored(np.asarray(rotation, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=4096)
+def _stored(rotation: bytes) -> tuple[float, float, float, float]:
+    """Return what `stored_quaternion` returns. Most objects of a dataset are turned by the same few angles."""
+    x, y, z, w = round_quaternion(from_matrix(np.frombuffer(rotation).reshape(3, 3))).tolist()
+    return x, y, z, w
+
+
+@lru_cache(maxsize=4096)
+def _as_matrix(x: float, y: float, z: float, w: float) -> F64:
+    return to_matrix([x, y, z, w])
+
+
+def stored_matrix(xyzw: tuple[float, float, float, float]) -> F64:
+    """Return the (3, 3) rotation of a stored quaternion ``x, y, z, w``."""
+    return _as_matrix(*xyzw).copy()
 
 
 def _rounded(q: F64) -> F64:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from condvln.scene.boxes import aabb_of
-from condvln.scene.quaternions import from_matrix, round_quaternion, to_matrix
+from condvln.scene.quaternions import stored_matrix, stored_quaternion
 from condvln.scene.scene import MeshPart, NavmeshFile, OrientedBox, Room, Scene, SceneObject, SceneWarning
 from schemas.tables import OBJECTS, ROOMS, SCENES
 
@@ -193,12 +193,13 @@ def _box_row(box: OrientedBox) -> Row:
     return {
         "center": _point(box.center),
         "half_extents": _point(box.half_extents),
-        "rotation": dict(zip("xyzw", round_quaternion(from_matrix(box.rotation)).tolist(), strict=True)),
+        "rotation": dict(zip("xyzw", stored_quaternion(box.rotation), strict=True)),
     }
 
 
 def _box(row: Row) -> OrientedBox:
-    rotation = to_matrix([row["rotation"][c] for c in "xyzw"])
+    turned = row["rotation"]
+    rotation = stored_matrix((turned["x"], turned["y"], turned["z"], turned["w"]))
     return OrientedBox(_vector(row["center"]), _vector(row["half_extents"]), rotation)
 
 

@@ -26,7 +26,7 @@ from condvln.sources.procthor_house import House, HouseObject, read_house
 from condvln.sources.procthor_solids import house_structure
 from condvln.sources.regions import check_polygon, in_rooms, side_regions
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
-from condvln.sources.solids import joined, object_boxes
+from condvln.sources.solids import Piece, joined, object_boxes
 from condvln.sources.source import UNKNOWN_LABEL
 from schemas.errors import ConfigError, InputError
 
@@ -34,6 +34,9 @@ __all__ = ["ProcthorSource"]
 
 _FILE: Final = re.compile(r"^(?P<stem>.+?)(?P<suffix>\.jsonl|\.jsonl\.gz|\.json)$")
 _LINE: Final = re.compile(r"^(?P<stem>.+)-(?P<number>0|[1-9][0-9]{0,8})$")
+KEPT_STRUCTURE_BYTES: Final = 8 << 20
+"""Bytes of floors and walls that are kept; those of a house take 50 to 100 kB."""
+
 _HOUSE_KEYS: Final = (b'"rooms"', b'"walls"')
 """Keys that distinguish a house from other JSON in the same folder."""
 
@@ -55,6 +58,8 @@ class ProcthorSource(SceneSource):
         self._open: dict[str, JsonLines] = {}
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
         self._house: tuple[tuple[str, bytes], House] | None = None
+        self._structures: dict[tuple[object, ...], Piece] = {}
+        self._room_for_structures = KEPT_STRUCTURE_BYTES
         if not self._files() and not self._lost:
             raise ConfigError(
                 "no houses (*.jsonl, *.jsonl.gz, *.json) are in this folder",
@@ -143,8 +148,23 @@ class ProcthorSource(SceneSource):
 
         There are no ceilings, since a navmesh would be built on them too.
         """
-        structure = house_structure(self.house(scene.scene_id), f"{self.root}: {scene.scene_id}")
-        return joined([*structure, object_boxes(enumerate(scene.objects))], approximate=True)
+        return joined([self._structure(scene.scene_id), object_boxes(enumerate(scene.objects))], approximate=True)
+
+    def _structure(self, scene_id: str) -> Piece:
+        """Return floors and walls of a house. They are kept for later stages, as long as the house's file is the same
+        and there is room for them.
+        """
+        path, number = self._place(scene_id)
+        key = path, number, *self.files.signature(path)
+        found = self._structures.get(key)
+        if found is None:
+            whole = joined(house_structure(self.house(scene_id), f"{self.root}: {scene_id}"), approximate=True)
+            found = Piece(whole.vertices, whole.faces, whole.owner)
+            size = found.vertices.nbytes + found.faces.nbytes + found.owner.nbytes
+            if size <= self._room_for_structures:
+                self._room_for_structures -= size
+                self._structures[key] = found
+        return found
 
     def house(self, scene_id: str) -> House:
         """Return the raw record of a house in Habitat's frame, including walls, doors and windows. The house that was
@@ -167,15 +187,20 @@ class ProcthorSource(SceneSource):
         ------
         InputError : the house does not exist, or its file can't be read
         """
+        path, number = self._place(scene_id)
+        if number is None:
+            return path, self.files.read(path, MAX_LINE_BYTES)
+        return f"{path}#{number}", self._lines(path).line(number)
+
+    def _place(self, scene_id: str) -> tuple[str, int | None]:
+        """Return the file of a house, and its line in a file of lines."""
         files = self._files()
         if (scene_id, ".json") in files:
-            path = files[scene_id, ".json"]
-            return path, self.files.read(path, MAX_LINE_BYTES)
+            return files[scene_id, ".json"], None
         named = _LINE.match(scene_id)
         for suffix in (".jsonl", ".jsonl.gz"):
             if named is not None and (named["stem"], suffix) in files:
-                path = files[named["stem"], suffix]
-                return f"{path}#{named['number']}", self._lines(path).line(int(named["number"]))
+                return files[named["stem"], suffix], int(named["number"])
         raise self.not_there(scene_id)
 
     def _files(self) -> dict[tuple[str, str], str]:

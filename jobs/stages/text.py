@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import pyarrow as pa
 
@@ -56,7 +57,9 @@ class TextStage(Stage):
         bodies, texts = published_texts(programs, rows, self.text, self.wording, self.seed)
         return StageOutput(
             tables={
-                "instructions": instruction_table(str(unit.payload["scene_id"]), programs.items(), bodies, groups),
+                "instructions": instruction_table(
+                    str(unit.payload["scene_id"]), sorted(programs.items(), key=itemgetter(0)), bodies, groups
+                ),
                 "episodes": with_text(placements, texts, self.max_steps, self.text.steps_per_word),
             }
         )
