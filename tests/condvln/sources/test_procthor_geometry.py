@@ -22,6 +22,7 @@ from condvln.samples.procthor import procthor_files
 from condvln.scene import Room, Scene
 from condvln.scene.boxes import box_corners
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.sources import procthor
 from condvln.sources.procthor import ProcthorSource
 from condvln.sources.procthor_solids import WALL_THICKNESS, house_structure
 from condvln.sources.registry import open_source
@@ -179,6 +180,32 @@ def test_side_zones_change_no_walls(root: Path, tmp_path: Path) -> None:
     again = source.geometry(source.read("train-0"))
     assert again is not None
     np.testing.assert_array_equal(again.vertices, geometry.vertices)
+
+
+def test_walls_are_kept_until_the_file_of_the_house_changes(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = write(root, surrounded())
+    scene = source.read("train-0")
+    first = source.geometry(scene)
+    with monkeypatch.context() as patch:
+        patch.setattr(ProcthorSource, "house", lambda *_: pytest.fail("the house was read again"))
+        kept = source.geometry(scene)
+    for name in ("vertices", "faces", "owner"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(first, name))
+    lower = surrounded()
+    lower["walls"] = lower["walls"][:-2]  # both sides of one
+    write(root, lower)
+    changed, fresh = source.geometry(scene), write(root, lower).geometry(scene)
+    assert len(changed.faces) < len(first.faces)
+    np.testing.assert_array_equal(changed.vertices, fresh.vertices)
+
+
+def test_walls_for_which_there_is_no_room_are_made_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(procthor, "KEPT_STRUCTURE_BYTES", 0)
+    source = write(root, surrounded())
+    scene = source.read("train-0")
+    first, again = source.geometry(scene), source.geometry(scene)
+    np.testing.assert_array_equal(first.vertices, again.vertices)
+    assert first.vertices is not again.vertices
 
 
 @given(
