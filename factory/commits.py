@@ -1,8 +1,8 @@
 """Committed outputs of stages, and records of stages that failed.
 
-``units/<stage>/<key[:2]>/<key>/<table>.arrows.zst``, further files beside it, and ``unit.json`` last: a key whose
-``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not. Earlier releases wrote
-``<table>.parquet``, which is still read.
+``units/<stage>/<key[:2]>/<key>/tables.arrows.zst``, further files beside it, and ``unit.json`` last: a key whose
+``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not. Earlier releases wrote each table
+as ``<table>.parquet``, which is still read.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from factory.faults import FaultPlan
 from factory.kept_tables import KeptTables
 from factory.rows import logical_hash, parquet_table
 from factory.seal import sealed, unsealed
-from factory.shard import SUFFIX, shard_bytes, shard_table
+from factory.shard import SHARD_FILE, shard_bytes, shard_table
 from factory.store import Store
 from schemas.errors import CorruptShardError
 from schemas.unit import QuarantineRecord, ShardRecord, TableRecord, UnitCommit
@@ -123,19 +123,25 @@ class Commits:
         """
         folder = self.folder(commit.stage, commit.key)
         self._faults.reach("unit-before-data")
-        shards: dict[str, TableRecord] = {}
+        records: dict[str, TableRecord] = {}
+        parts: list[bytes] = []
         for name, table in tables.items():
-            data = shard_bytes(table, commit.tables[name].logical_hash)
-            self.store.write(f"{folder}/{name}{SUFFIX}", data, settle=False)
-            self._faults.reach("unit-between-data")
-            shards[name] = commit.tables[name].model_copy(
+            data = shard_bytes(name, table, commit.tables[name].logical_hash)
+            parts.append(data)
+            records[name] = commit.tables[name].model_copy(
                 update={"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
             )
+        whole: ShardRecord | None = None
+        if parts:
+            shard = b"".join(parts)
+            self.store.write(f"{folder}/{SHARD_FILE}", shard, settle=False)
+            self._faults.reach("unit-between-data")
+            whole = ShardRecord(sha256=hashlib.sha256(shard).hexdigest(), bytes=len(shard))
         kept = {}
         for name, content in files.items():
             self.store.write(f"{folder}/{name}", content, settle=False)
             kept[name] = ShardRecord(sha256=hashlib.sha256(content).hexdigest(), bytes=len(content))
-        commit = commit.model_copy(update={"tables": shards, "files": kept})
+        commit = commit.model_copy(update={"tables": records, "shard": whole, "files": kept})
         self._faults.reach("unit-before-commit")
         content = sealed(commit)
         self.store.write(f"{folder}/{UNIT_FILE}", content)
@@ -158,9 +164,9 @@ class Commits:
         kept = None if rows_hash is None else self._kept.take(path, rows_hash)
         if kept is not None:
             return kept
-        shard = f"{path}{SUFFIX}"
+        shard = f"{self.folder(stage, key)}/{SHARD_FILE}"
         try:
-            return shard_table(self._verified(shard, None), self._where(shard), rows_hash, REBUILD_VERIFIED)
+            return shard_table(self._verified(shard, None), name, self._where(shard), rows_hash, REBUILD_VERIFIED)
         except CorruptShardError as error:
             if isinstance(error.__cause__, FileNotFoundError) and self.store.exists(f"{path}{PARQUET}"):
                 return self._parquet(f"{path}{PARQUET}", rows_hash)
@@ -238,5 +244,6 @@ class Commits:
 
 def _files(commit: UnitCommit) -> dict[str, ShardRecord]:
     """Return all files of a commit except ``unit.json``, by name."""
-    ends = {"arrow": SUFFIX, "parquet": PARQUET}
-    return {**{f"{name}{ends[record.encoding]}": record for name, record in commit.tables.items()}, **commit.files}
+    if commit.shard is not None:
+        return {SHARD_FILE: commit.shard, **commit.files}
+    return {**{f"{name}{PARQUET}": record for name, record in commit.tables.items()}, **commit.files}

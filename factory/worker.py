@@ -36,7 +36,7 @@ from factory.pipeline import plain_name
 from factory.quarantine import Failed, Quarantine, failed_by
 from factory.receipt import Failure, Receipt, Status
 from factory.rows import canonical_table, logical_hash
-from factory.shard import SUFFIX
+from factory.shard import SHARD_FILE
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit, Work
 from schemas.canonical import digest
@@ -214,7 +214,6 @@ class Worker:
                 logical_hash=found,
                 rows=table.num_rows,
                 logical_bytes=size,
-                encoding="arrow",
             )
         commit = UnitCommit(
             unit_id=unit.unit_id,
@@ -286,7 +285,7 @@ class Worker:
         for name in output.files:
             if not plain_name(name):
                 raise StageError(f"stage {stage.name!r} wrote a file under {name!r}, which is not a plain file name")
-            if name in (UNIT_FILE, *(f"{table}{SUFFIX}" for table in tables)):
+            if name in (UNIT_FILE, SHARD_FILE):
                 raise StageError(f"stage {stage.name!r} wrote a file under the reserved name {name!r}")
         return tables
 

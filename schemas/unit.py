@@ -43,14 +43,14 @@ class ShardRecord(Document):
 
 
 class TableRecord(ShardRecord):
-    """One table of a unit: the hash of its file, and a hash of its rows that does not depend on the file's encoding."""
+    """One table of a unit: the hash of its bytes in the shard (in commits of earlier releases, of its own file), and a
+    hash of its rows that does not depend on the encoding.
+    """
 
     logical_hash: Hash32
     rows: Annotated[int, Field(ge=0)]
     logical_bytes: Annotated[int, Field(ge=0)]
     """Size of the canonical buffers, bytes. Packing uses it because file sizes depend on the version of the writer."""
-    encoding: Literal["parquet", "arrow"] = "parquet"
-    """How its file is encoded; commits of earlier releases say nothing, and their tables are Parquet."""
 
 
 class UnitCommit(VersionedDocument):
@@ -65,6 +65,8 @@ class UnitCommit(VersionedDocument):
     outcome: Literal["ok", "skipped"]
     reason: str = ""
     tables: dict[FileName, TableRecord]
+    shard: ShardRecord | None = None
+    """The file that holds all tables; None in commits of earlier releases, which have a Parquet file for each."""
     files: dict[FileName, ShardRecord]
     measures: dict[str, Finite]
     seconds: Annotated[float, Field(ge=0)]

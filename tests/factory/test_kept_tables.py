@@ -13,7 +13,7 @@ from factory import LocalStore, run
 from factory.kept_tables import KeptTables, kept_tables
 from factory.receipt import Receipt
 from factory.report import Silence
-from factory.shard import SUFFIX
+from factory.shard import SHARD_FILE
 
 
 class Read(LocalStore):
@@ -30,8 +30,10 @@ class Read(LocalStore):
         return super().read(path)
 
     def tables(self, stage: str) -> Counter[str]:
-        """How often each table of a stage was read."""
-        return Counter({p: n for p, n in self.reads.items() if p.startswith(f"units/{stage}/") and p.endswith(SUFFIX)})
+        """How often the tables of each commit of a stage were read."""
+        return Counter(
+            {p: n for p, n in self.reads.items() if p.startswith(f"units/{stage}/") and p.endswith(SHARD_FILE)}
+        )
 
 
 def test_a_run_reads_no_table_that_it_made_in_its_first_pass(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from factory import LocalStore, Snapshot, plan, run
 from factory.receipt import Receipt
 from factory.report import Silence
 from factory.rows import logical_hash
-from factory.shard import SUFFIX, shard_bytes
+from factory.shard import SHARD_FILE, shard_bytes
 from schemas.errors import CorruptShardError, UsageError
 
 
@@ -241,9 +241,9 @@ def test_a_table_that_only_a_unit_keeps_is_read_by_its_hash(store: LocalStore) -
     kept = snapshot.unit_table("a/u00004", toys.pipeline(), "scratch")
     assert kept.column_names == ["sum"]
     for entry in store.list("units/square"):
-        if entry.path.endswith(f"scratch{SUFFIX}"):
+        if entry.path.endswith(SHARD_FILE):
             rows = pa.table({"sum": [-1.0]})
-            store.write(entry.path, shard_bytes(rows, logical_hash(rows)[0]))
+            store.write(entry.path, shard_bytes("scratch", rows, logical_hash(rows)[0]))
     with pytest.raises(CorruptShardError, match="differ"):
         snapshot.unit_table("a/u00004", toys.pipeline(), "scratch")
 

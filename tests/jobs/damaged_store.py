@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from factory.index import Index
 from factory.local_store import LocalStore
-from factory.shard import SUFFIX
+from factory.shard import SHARD_FILE
 from factory.snapshot import Snapshot, read_ref
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
@@ -84,9 +84,9 @@ def _files(store: Path, name: str) -> dict[str, Path]:
         return store / "units" / stage / key[:2] / key / file
 
     return {
-        "unit table": unit("text", f"episodes{SUFFIX}"),
+        "unit table": unit("text", SHARD_FILE),
         "unit.json": unit("text", "unit.json"),
-        "built navmesh": unit("scene", f"navmeshes{SUFFIX}"),
+        "built navmesh": unit("scene", SHARD_FILE),
         "snapshot table": snapshot.local_paths("episodes")[0],
         "manifest": store / "snapshots" / ref.snapshot_id / "manifest.json",
         "index": store / Index.path(ref.index),
