@@ -49,5 +49,6 @@ class ManifestEpisode(VersionedDocument):
 
     @model_validator(mode="after")
     def _with_hash(self) -> ManifestEpisode:
-        self.episode_hash = self.episode_hash or str(self.episode_id)
+        if not self.episode_hash:
+            self.episode_hash = str(self.episode_id)
         return self

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import Any, Final
 
@@ -62,19 +63,22 @@ def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certifi
         "instruction_text": instruction.get("instruction_text") if isinstance(instruction, dict) else None,
     }
     said = said if isinstance(said, dict) else {}
-    wrong = [(name, value, found.get(name, MISSING)) for name, value in claimed.items()]
-    wrong += [(f"info.{name}", value, said.get(name, MISSING)) for name, value in info.items()]
-    wrong = [difference for difference in wrong if difference[1] != difference[2]]
+    wrong = [(name, value, own) for name, value in claimed.items() if value != (own := found.get(name, MISSING))]
+    wrong += [(f"info.{name}", value, own) for name, value in info.items() if value != (own := said.get(name, MISSING))]
     certificate.checked["record"] += len(claimed) + len(info) - len(wrong)
     for name, manifest, own in wrong:
         certificate.holds("record", False, own, manifest, name)
-    scene = PurePosixPath(str(record.get("scene_id", "")))
-    name = PurePosixPath(row.scene_id).name
-    # HM3D numbers the folder of a scan, and its file has the scan's name alone.
-    own = scene.parent.name if scene.stem == f"{name.partition('-')[2]}{_BASIS}" else scene.stem
-    certificate.same("record", own, name, "scene_id")
+    certificate.same("record", *_scene_names(str(record.get("scene_id", "")), row.scene_id), "scene_id")
     yaw = yaw_of(row.start_rotation)
     if yaw is not None:
         heading, stated = heading_of(yaw), said.get("start_heading_degrees")
         off = (float(stated) - heading + 180.0) % 360.0 - 180.0 if isinstance(stated, (int, float)) else math.inf
         certificate.holds("record", abs(off) <= HEADING, stated, heading, "info.start_heading_degrees")
+
+
+@lru_cache(maxsize=64)
+def _scene_names(file: str, scene_id: str) -> tuple[str, str]:
+    """Return the name of a scene by its file, and by its id."""
+    scene, name = PurePosixPath(file), PurePosixPath(scene_id).name
+    # HM3D numbers the folder of a scan, and its file has the scan's name alone.
+    return scene.parent.name if scene.stem == f"{name.partition('-')[2]}{_BASIS}" else scene.stem, name

@@ -391,10 +391,11 @@ class PhraseReader(WordReader):
         ]
         while ahead:
             end, moves, named = ahead.pop()
-            if end < len(self.tokens) and (self.tokens[end] in _STOPS or self.of(end, "if")):
+            here = self.here(end)
+            if end < len(self.tokens) and (self.tokens[end] in _STOPS or "if" in here):
                 yield end, moves, named
             for slot in ("then", "second", "last"):
-                for after, _, _ in self.of(end, slot):
+                for after, _, _ in self.of(end, slot) if slot in here else ():
                     ahead += [
                         (stop, (*moves, _beside(thing, moves[-1])), room)
                         for stop, thing, room in self._things(after, named)

@@ -45,12 +45,14 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     for k in range(len(program.conditions)):
         matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
         certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")
+    meant = [words().meant_by(condition.label) for condition in program.conditions]
     for k, condition in enumerate(program.conditions):
-        certificate.holds("independent_conditions", not _settled(condition), "open", "settled", f"condition {k}")
+        settled = _settled(condition, meant[k])
+        certificate.holds("independent_conditions", not settled, "open", "settled", f"condition {k}")
         for j, other in enumerate(program.conditions[:k]):
-            own_label = other.label not in words().meant_by(condition.label)
+            own_label = other.label not in meant[k]
             certificate.holds("labels_apart", own_label, "another label", other.label, f"condition {k}")
-            apart = not (_follows(condition, other) or _follows(other, condition))
+            apart = not (_follows(condition, meant[k], other) or _follows(other, meant[j], condition))
             certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
 
 
@@ -134,20 +136,18 @@ def _rivals(category: Category, k: int) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(pairs))
 
 
-def _settled(condition: Condition) -> bool:
+def _settled(condition: Condition, own: frozenset[str]) -> bool:
     """Return whether the words of a condition alone decide it, as in "a bed near the bed" or "a piano in the room with
-    the piano".
+    the piano". `own` are the labels that its label may mean.
     """
-    own = words().meant_by(condition.label)
     anchors = (*(condition.qualifier.anchor_labels if condition.qualifier else ()), condition.room.anchor_label)
     return any(anchor in own for anchor in anchors)
 
 
-def _follows(one: Condition, other: Condition) -> bool:
-    """Return whether `other` asks or presupposes what `one` asks."""
+def _follows(one: Condition, own: frozenset[str], other: Condition) -> bool:
+    """Return whether `other` asks or presupposes what `one` asks, whose label may mean the labels `own`."""
     if one.room.room_id != other.room.room_id:
         return False
-    own = words().meant_by(one.label)
     if other.label in own:
         return True
     return one.qualifier is None and other.qualifier is not None and not own.isdisjoint(other.qualifier.anchor_labels)

@@ -210,11 +210,14 @@ class _Reader(PhraseReader):
             context &= ~listed
         claims = self._said(at, room)
         for claimed, present, what, its_room in [*claims, *self._joined(at, room)] if joined else claims:
-            end = next((after for after, _, _ in self.of(claimed, "either")), claimed)
+            either = self.of(claimed, "either")
+            end = either[0][0] if either else claimed
             for k, named in _conditions(named_before, asks, what):
-                asked = [ask.context for ask in asks if ask.condition == k]
-                # asked again, so it applies to the same cases as before
-                within = context & asked[0] if asked else context
+                within = context
+                for ask in asks:
+                    if ask.condition == k:  # asked again, so it applies to the same cases as before
+                        within &= ask.context
+                        break
                 guard = _HOLDS[k] if present else _ALWAYS & ~_HOLDS[k]
                 opened = _State(
                     its_room,
@@ -309,8 +312,11 @@ class _Reader(PhraseReader):
             return
         at += 1
         # A case that gets stops twice makes the whole text invalid, whatever follows.
-        if not any(context & cases for cases, _ in state.rules):
-            for start in [at, *(end for end, _, _ in self.of(at, "filler"))]:
+        told_cases = 0
+        for cases, _ in state.rules:
+            told_cases |= cases
+        if not context & told_cases:
+            for start in [at, *[end for end, _, _ in self.of(at, "filler")]]:
                 told = self._stops(start, state.room)
                 # "If not, to the lamp" goes on from a "go to" before it.
                 for end, moves, room in [*told, *self._verbless_stops(start, state.room)] if state.rules else told:
@@ -323,7 +329,8 @@ class _Reader(PhraseReader):
         for end, what, room in self._requests(at, state.room):
             for k, named in _conditions(state.named, state.asks, what):
                 asks = (*state.asks, _Ask(context, k, None))
-                reached.append((end, state._replace(room=room, named=named, asks=asks), base))
+                asking = _State(room, named, state.rules, asks, state.open, state.listed, state.early)
+                reached.append((end, asking, base))
 
 
 def _conditions(
@@ -378,11 +385,12 @@ def _placed(state: _State, told: Sequence[Moves]) -> list[tuple[int, Moves]]:
     elsewhere, if there is exactly one such room. A later stop gets the room of the stop before it.
     """
     rooms: dict[str, set[Named]] = {}
-    for phrase in [*state.named, *(stop for _, number in state.rules for stop in told[number])]:
-        own = () if phrase in state.named and not phrase.known else (phrase.label,)
+    for phrase in [*state.named, *[stop for _, number in state.rules for stop in told[number]]]:
+        if phrase.room is None:
+            continue
+        own = () if not phrase.known and phrase in state.named else (phrase.label,)
         for label in (*own, *(phrase.qualifier[1] if phrase.qualifier is not None else ())):
-            if phrase.room is not None:
-                rooms.setdefault(label, set()).add(phrase.room)
+            rooms.setdefault(label, set()).add(phrase.room)
     placed = []
     for cases, number in state.rules:
         found: list[Phrase] = []
@@ -413,7 +421,12 @@ def _table(state: _State, told: Sequence[Moves]) -> tuple[Moves, ...] | None:
     if covered != _ALWAYS:
         return None
     rules = _placed(state, told)
-    table = tuple(next(moves for cases, moves in rules if cases >> case & 1) for case in range(1 << len(state.named)))
-    conditions = range(len(state.named))
-    decides = all(any(moves is not table[case ^ 1 << k] for case, moves in enumerate(table)) for k in conditions)
-    return table if decides else None
+    table: list[Moves] = [()] * (1 << len(state.named))
+    for cases, moves in rules:
+        for case in range(len(table)):
+            if cases >> case & 1:
+                table[case] = moves
+    for k in range(len(state.named)):
+        if all(moves is table[case ^ 1 << k] for case, moves in enumerate(table)):
+            return None
+    return tuple(table)

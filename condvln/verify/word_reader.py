@@ -126,6 +126,9 @@ class WordReader:
         found = here.get(kind)
         if found is None:
             return ()
+        if len(found) == 1:
+            ((words, value, classes),) = found
+            return ((at + words, value, classes),)
         return [(at + words, value, classes) for words, value, classes in found]
 
     def is_mark(self, at: int, mark: str) -> bool:
