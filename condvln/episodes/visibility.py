@@ -7,6 +7,7 @@ not mention it, nor make statements whose truth could depend on it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -108,14 +109,16 @@ def _visibility(item: SceneObject, eyes: F64, from_eye: Bools, seen: Bools) -> V
     `seen` (k,) which of its sample points are visible at all.
     """
     seeing = eyes[from_eye]
-    away = np.linalg.norm((seeing - item.center)[:, [0, 2]], axis=1)
+    away = seeing - item.center
+    square = away[:, 0] * away[:, 0] + away[:, 2] * away[:, 2]
+    share = float(seen.mean())
     return Visibility(
         object_id=item.object_id,
         places=len(eyes),
         from_places=len(seeing),
-        share=round(float(seen.mean()), 3),
-        nearest_view=round(float(away.min()), 3) if len(away) else None,
-        seeable=bool(seen.mean() >= SEEABLE_SHARE and len(seeing) >= min(SEEABLE_PLACES, len(eyes))),
+        share=round(share, 3),
+        nearest_view=round(math.sqrt(float(square.min())), 3) if len(away) else None,
+        seeable=bool(share >= SEEABLE_SHARE and len(seeing) >= min(SEEABLE_PLACES, len(eyes))),
         unseen=not seen.any(),
     )
 

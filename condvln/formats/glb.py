@@ -16,6 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from condvln.formats.distinct_points import distinct_points
 from condvln.formats.gltf_tree import geometry_tree
 from condvln.formats.json_document import MAX_COORDINATE, JsonNode, parse_json
 from schemas.errors import DeadlineError, FormatError
@@ -106,13 +107,15 @@ def _joined(parts: list[tuple[NDArray[np.float64], NDArray[np.int64]]], where: s
     vertices = np.concatenate([v for v, _ in parts])
     starts = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
     faces = np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
-    used = np.unique(faces)
+    used = np.flatnonzero(np.bincount(faces.reshape(-1), minlength=len(vertices)))
     if not (np.abs(vertices[used]) <= MAX_COORDINATE).all():
         raise FormatError(f"a vertex is NaN, infinite or beyond ±{MAX_COORDINATE:g} m", where=where, remedy=_REMEDY)
     # Vertices are duplicated where normals differ; merging equal ones shows which edges coincide.
-    merged, back = np.unique(vertices[used] + 0.0, axis=0, return_inverse=True)
+    points = vertices[used] + 0.0
+    first, back = distinct_points(points)
+    merged = points[first]
     place = np.zeros(len(vertices), dtype=np.int64)
-    place[used] = back.reshape(-1)
+    place[used] = back
     faces = place[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     return GlbGeometry(merged, faces.astype(np.int32), _watertight(faces, len(merged)))

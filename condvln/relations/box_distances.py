@@ -47,7 +47,7 @@ def box_distances(first: tuple[F64, F64, F64], second: tuple[F64, F64, F64]) -> 
 
 def _distances(a: F64, half_a: F64, axes_a: F64, b: F64, half_b: F64, axes_b: F64) -> F64:
     between = b - a
-    normals = np.cross(axes_a.transpose(0, 2, 1)[:, :, None], axes_b.transpose(0, 2, 1)[:, None])  # (p, 3, 3, 3)
+    normals = _cross(axes_a.transpose(0, 2, 1)[:, :, None], axes_b.transpose(0, 2, 1)[:, None])  # (p, 3, 3, 3)
     sines = np.linalg.norm(normals, axis=-1)
     skew = sines > PARALLEL
     normals = normals / np.where(skew, sines, 1.0)[..., None]
@@ -75,6 +75,13 @@ def _distances(a: F64, half_a: F64, axes_a: F64, b: F64, half_b: F64, axes_b: F6
     return distances
 
 
+def _cross(one: F64, other: F64) -> F64:
+    """Return the vector product (…, 3) of vectors (…, 3), with less ado than NumPy's."""
+    x, y, z = (one[..., k] for k in range(3))
+    u, v, w = (other[..., k] for k in range(3))
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+
+
 def _corners_to_box(corners: F64, center: F64, half: F64, axes: F64) -> F64:
     """Return, for each of p pairs of boxes, the least distance (p,) from one of the `corners` (p, 8, 3) of the first
     box to the second box.
@@ -93,7 +100,7 @@ def _edges(from_a: F64, along_a: F64, from_b: F64, along_b: F64, normal: F64) ->
     normal : (p, 3) perpendicular to both
     """
     between = from_b[:, None] - from_a[:, :, None]  # (p, 4, 4, 3)
-    side_a, side_b = np.cross(along_b, normal), np.cross(along_a, normal)
+    side_a, side_b = _cross(along_b, normal), _cross(along_a, normal)
     # Seen along the normal, the lines cross where the rest of `between` is s along_a - t along_b.
     with np.errstate(divide="ignore", invalid="ignore"):
         s = np.einsum("pijk,pk->pij", between, side_a) / (along_a * side_a).sum(axis=1)[:, None, None]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from condvln.formats.distinct_points import distinct_points
 from condvln.formats.glb import GlbGeometry
 from condvln.relations.box_distances import SIGNS
 from condvln.relations.triangle_trees import TriangleTree, tree_order
@@ -66,8 +67,8 @@ def _pieces_of(asset: GlbGeometry) -> NDArray[np.intp]:
 
 def _one_of_each_piece(vertices: F64, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """Return one vertex (p,) of each connected piece of a surface; vertices at equal positions are merged."""
-    _, first, merged = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    corner = merged.reshape(-1)[faces]
+    first, merged = distinct_points(vertices)
+    corner = merged[faces]
     ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]]])
     graph = coo_array((np.ones(len(ends), dtype=bool), (ends[:, 0], ends[:, 1])), shape=(len(first), len(first)))
     piece = connected_components(graph, directed=False)[1]
