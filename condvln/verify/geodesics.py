@@ -55,9 +55,10 @@ class Geodesics:
         """Compute the results of all queries."""
         self.positions = list(self._index)
         points = self.points = np.array(self.positions).reshape(-1, 3)
-        moved = np.asarray(pathfinder.snap_points(points), dtype=np.float64) - points
+        snapped, islands = pathfinder.snap_to_islands(points)
+        moved = np.asarray(snapped, dtype=np.float64) - points
         self.moved = np.maximum(np.hypot(moved[:, 0], moved[:, 2]), np.abs(moved[:, 1]))
-        self.islands = pathfinder.get_islands(points).tolist()
+        self.islands = islands.tolist()
         radii = {k: pathfinder.island_radius(k) if k >= 0 else 0.0 for k in set(self.islands)}
         self.island_radii = [radii[k] for k in self.islands]
         if self._pairs:
@@ -66,9 +67,13 @@ class Geodesics:
             self._lengths = np.where(np.isnan(away), np.inf, away).tolist()
         if self._legs:
             ends = np.array(list(self._legs))
-            for way in pathfinder.find_paths(points[ends[:, 0]], points[ends[:, 1]]):
-                corners = np.round(way.points.astype(np.float64), 3) + 0.0
-                self._ways.append((way.geodesic_distance, tuple(map(tuple, corners.tolist()))))
+            ways = pathfinder.find_paths(points[ends[:, 0]], points[ends[:, 1]])
+            corners = np.round(np.concatenate([way.points for way in ways]).astype(np.float64), 3) + 0.0
+            places = [(x, y, z) for x, y, z in corners.tolist()]
+            at = 0
+            for way in ways:
+                self._ways.append((way.geodesic_distance, tuple(places[at : at + len(way.points)])))
+                at += len(way.points)
 
     def metres(self, pairs: Sequence[int]) -> list[float]:
         """Return the geodesic distances in metres of registered pairs; infinite where no path exists."""

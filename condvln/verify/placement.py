@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -26,6 +27,8 @@ from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["check_placement"]
+
+F64 = NDArray[np.float64]
 
 MILLIMETRE: Final = 0.001
 """Tolerances in metres between recomputed lengths and corners and the published ones."""
@@ -131,8 +134,8 @@ class _Lines:
 
     def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
         leaves = [leaf for row in rows for leaf in row.leaves]
-        self.corners = np.array([point for leaf in leaves for point in leaf.reference_path])
-        self.goals = np.array([point for leaf in leaves for point in leaf.goals])
+        self.corners = _points([leaf.reference_path for leaf in leaves])
+        self.goals = _points([leaf.goals for leaf in leaves])
         self.corner_ends = np.cumsum([len(leaf.reference_path) for leaf in leaves])
         self.goal_ends = np.cumsum([len(leaf.goals) for leaf in leaves])
         self.row_ends = np.cumsum([len(row.leaves) for row in rows])
@@ -342,6 +345,12 @@ class _Checker:
                         name = f"path of leaf {k} and leaf {j}"
                         certificate.checked["path_apart"] -= 1
                         certificate.holds("path_apart", False, self.success, metres, name)
+
+
+def _points(lists: Sequence[Sequence[Point]]) -> F64:
+    """Return the points (n, 3) of all lists."""
+    points = chain.from_iterable(lists)
+    return np.fromiter(chain.from_iterable(points), np.float64, 3 * sum(map(len, lists))).reshape(-1, 3)
 
 
 def _end(leaf: EpisodeLeaf) -> int:
