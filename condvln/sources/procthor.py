@@ -57,7 +57,7 @@ class ProcthorSource(SceneSource):
         super().__init__(root, options)
         self._open: dict[str, JsonLines] = {}
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
-        self._house: tuple[tuple[str, bytes], House] | None = None
+        self._house: tuple[tuple[str, bytes], tuple[object, ...], House] | None = None
         self._structures: dict[tuple[object, ...], Piece] = {}
         self._room_for_structures = KEPT_STRUCTURE_BYTES
         if not self._files() and not self._lost:
@@ -154,11 +154,12 @@ class ProcthorSource(SceneSource):
         """Return floors and walls of a house. They are kept for later stages, as long as the house's file is the same
         and there is room for them.
         """
-        path, number = self._place(scene_id)
-        key = path, number, *self.files.signature(path)
+        key = self._signed(*self._place(scene_id))
         found = self._structures.get(key)
         if found is None:
-            whole = joined(house_structure(self.house(scene_id), f"{self.root}: {scene_id}"), approximate=True)
+            known = self._house
+            house = known[2] if known is not None and known[1] == key else self.house(scene_id)
+            whole = joined(house_structure(house, f"{self.root}: {scene_id}"), approximate=True)
             found = Piece(whole.vertices, whole.faces, whole.owner)
             size = found.vertices.nbytes + found.faces.nbytes + found.owner.nbytes
             if size <= self._room_for_structures:
@@ -174,11 +175,13 @@ class ProcthorSource(SceneSource):
         ------
         InputError : as `read`
         """
-        record = self.record(scene_id)
+        place = self._place(scene_id)
+        signed = self._signed(*place)  # before it is read: if it changes meanwhile, it is read again
+        record = self._record(*place)
         if self._house is None or self._house[0] != record:
             name, data = record
-            self._house = (record, read_house(parse_json(data, str(self.root / name))))
-        return self._house[1]
+            self._house = (record, signed, read_house(parse_json(data, str(self.root / name))))
+        return self._house[2]
 
     def record(self, scene_id: str) -> tuple[str, bytes]:
         """Return where a house is stored (path relative to the root, with ``#line`` in a file of lines), and its JSON.
@@ -187,10 +190,16 @@ class ProcthorSource(SceneSource):
         ------
         InputError : the house does not exist, or its file can't be read
         """
-        path, number = self._place(scene_id)
+        return self._record(*self._place(scene_id))
+
+    def _record(self, path: str, number: int | None) -> tuple[str, bytes]:
         if number is None:
             return path, self.files.read(path, MAX_LINE_BYTES)
         return f"{path}#{number}", self._lines(path).line(number)
+
+    def _signed(self, path: str, number: int | None) -> tuple[object, ...]:
+        """Return a key of a place that changes with its file."""
+        return path, number, *self.files.signature(path)
 
     def _place(self, scene_id: str) -> tuple[str, int | None]:
         """Return the file of a house, and its line in a file of lines."""
