@@ -57,7 +57,7 @@ def count(root: Path, family: str) -> tuple[int, Counts, dict[Predicate, int]]:
                 for predicate in {way.predicate for way in ways}:
                     qualifiers[predicate] += 1
             for truths in statement_truths(referents, vocabulary):
-                keys = [truths.anchor_key(k, own) for k in range(len(truths.anchors))]
+                keys = truths.anchor_keys(own)
                 for truth, table in ((True, truths.true), (False, truths.false)):
                     pairs, where = found[truths.predicate, truth]
                     cells = np.argwhere(table).tolist()

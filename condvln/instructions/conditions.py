@@ -305,7 +305,7 @@ class _Counted:
         evidence, definite = bits.evidence(room_type), truths.definite.tolist()
         forms = [(room_type, label, truths.predicate, one) for label, one in zip(truths.labels, definite, strict=True)]
         factors = np.array([bits.label_weights.get(form, (1.0, 1.0)) for form in forms])
-        anchors = [truths.anchor_key(column, own) for column in range(len(truths.anchors))]
+        anchors = truths.anchor_keys(own)
         known, parts = False, dict[bool, _OfTruth]()
         for truth, support in ((True, truths.true), (False, truths.false)):
             rows, columns = np.nonzero(support)

@@ -320,7 +320,7 @@ def _of_room(
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
         for truths in statement_truths(referents, vocabulary):
             subjects, anchors = np.nonzero(truths.true | truths.false)
-            keys = [truths.anchor_key(k, arrays.labels) for k in range(len(truths.anchors))]
+            keys = truths.anchor_keys(arrays.labels)
             rows.add(
                 [truths.labels[k] for k in subjects.tolist()],
                 truths.predicate,

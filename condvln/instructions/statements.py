@@ -48,11 +48,13 @@ class StatementTruths:
     true: Bools
     false: Bools
 
-    def anchor_key(self, column: int, own: Sequence[str]) -> str:
-        """Return the key under which the priors count the anchors of one `column` of `true` and `false`. `own` has the
+    def anchor_keys(self, own: Sequence[str]) -> list[str]:
+        """Return the keys under which the priors count the anchors of each column of `true` and `false`. `own` has the
         labels of the room's objects.
         """
-        return anchor_key(own[a] for a in self.anchors[column])
+        if self.anchors.shape[1] == 1:
+            return [own[a] for a in self.anchors[:, 0].tolist()]
+        return [anchor_key(own[a] for a in row) for row in self.anchors.tolist()]
 
 
 def anchor_key(labels: Iterable[str]) -> str:
@@ -73,18 +75,22 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     # "A lamp near the bed" is false only if no unlabelled object that may be a lamp is near it. "The lamp" is visible.
     definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
     possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
+    exactly, perhaps = exact.astype(np.float32), possible.astype(np.float32)
+    fit: dict[int, Bools] = {}  # by the number of anchors: predicates with as many have the same choices of them
     for predicate in ASKED:
         anchors, status, _, suits = referents.related(predicate)
-        # "a bed near the bed" is pointless, and so is any other word for the bed.
-        sayable = ~overlap[:, anchors].any(axis=2) & decided[:, None]
-        sayable &= exact.astype(np.float32) @ (~suits).astype(np.float32) == 0
+        if anchors.shape[1] not in fit:
+            # "a bed near the bed" is pointless, and so is any other word for the bed.
+            meant = overlap[:, anchors].any(axis=2)
+            fit[anchors.shape[1]] = ~meant & decided[:, None] & (exactly @ (~suits).astype(np.float32) == 0)
+        sayable = fit[anchors.shape[1]]
         if predicate == "on":
             # Nobody would ask whether the faucet is on the painting, or the side table on the sink.
             surfaces = labels_with_role("surface")
-            sayable &= np.array([own[a] in surfaces for a in anchors[:, 0].tolist()], dtype=bool)
+            sayable = sayable & np.array([own[a] in surfaces for a in anchors[:, 0].tolist()], dtype=bool)
             sayable &= np.array([label not in surfaces for label in labels], dtype=bool)[:, None]
         held = np.asarray(status == 1)
-        left = possible.astype(np.float32) @ (~referents.denied(predicate, status)).astype(np.float32)
+        left = perhaps @ (~referents.denied(predicate, status)).astype(np.float32)
         yield StatementTruths(
             predicate=predicate,
             labels=labels,
@@ -92,6 +98,6 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
             definite=definite,
             exact=exact,
             held=held,
-            true=np.asarray((exact.astype(np.float32) @ held.astype(np.float32) > 0) & sayable),
+            true=np.asarray((exactly @ held.astype(np.float32) > 0) & sayable),
             false=np.asarray((left == 0) & sayable),
         )

@@ -342,7 +342,7 @@ def test_in_a_scan_no_bowl_near_the_fridge_is_denied_beside_a_low_vase(family: s
         vase = thing("vase", "vase", (x, 0.78, -1.6), (x + 0.15, 0.85, -1.45))
         things = [*bowls, vase, FRIDGE, sink]
         (truths,) = (t for t in statement_truths(referents(things, family), vocabulary) if t.predicate == "near")
-        anchor = [truths.anchor_key(k, referents(things, family).arrays.labels) for k in range(len(truths.anchors))]
+        anchor = truths.anchor_keys(referents(things, family).arrays.labels)
         assert truths.false[truths.labels.index("bowl"), anchor.index("refrigerator")] == sure
         about = Phrase("bowl", ("near", ("refrigerator",)), None)
         found = SceneReferents(scene_of(family, things), T, 0.3, Shapes(Path())).claim(about)

@@ -191,7 +191,7 @@ def test_statements_about_what_people_confuse_are_counted_as_they_are_drawn() ->
     facts = text_facts(relate_room(arrays, Thresholds()), Thresholds())
     drawn = Referents.of(room, arrays, facts, vocabulary, size, "replicacad")
     told = {
-        ("apartment", truths.labels[row], truths.predicate, truths.anchor_key(column, arrays.labels), truth)
+        ("apartment", truths.labels[row], truths.predicate, truths.anchor_keys(arrays.labels)[column], truth)
         for truths in statement_truths(drawn, vocabulary)
         for truth, table in ((True, truths.true), (False, truths.false))
         for row, column in np.argwhere(table)
