@@ -120,9 +120,9 @@ def configuration_page() -> str:
         "`CONDVLN_A__B=value` override a key; entries of a list are numbered from 0, as in `sources.0.root`. Unknown "
         "keys are errors, and a key that moved is refused with its new name.",
         "*Makes stale* names the stages that read the key: a run after a change does these again for every scene, and "
-        "later stages only where their input changed. Stages in their order: `scene`, `relations`, `visibility`, "
-        "`programs`, `episodes`, `text`; `priors` are counts over all scenes, made after `scene`. `programs` read "
-        "`text.preamble` and the wording (`instructions.language`, `voices`, `length`) only where a cell bounds "
+        "later stages only where their input changed. Stages in their order: `scene`, `counts`, `relations`, "
+        "`visibility`, `programs`, `episodes`, `text`; `priors` are the sums of `counts` over all scenes. `programs` "
+        "read `text.preamble` and the wording (`instructions.language`, `voices`, `length`) only where a cell bounds "
         "`words`. The export is written again after each run.",
     ]
     at = ""

@@ -17,6 +17,7 @@ __all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "FEATURES", "counts_of", "stage_co
 
 FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
     "scene": ("scene", "objects", "mesh_mb"),
+    "counts": ("scene", "kilopairs"),
     "relations": ("scene", "kilopairs"),
     "visibility": ("scene", "seen_objects"),
     "programs": ("objects", "asked"),
@@ -28,6 +29,7 @@ FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
 COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "replicacad": {
         "scene": (0.0115, 0.0008, 0.0),
+        "counts": (0.004, 0.004),
         "relations": (0.0498, 0.0308),
         "visibility": (0.0, 0.0011),
         "programs": (0.0, 0.5799),
@@ -36,6 +38,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     },
     "procthor": {
         "scene": (0.0134, 0.0006, 0.0),
+        "counts": (0.004, 0.004),
         "relations": (0.0231, 0.0118),
         "visibility": (0.0, 0.0018),
         "programs": (0.0024, 0.2318),
@@ -44,6 +47,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     },
     "ithor": {
         "scene": (0.015, 0.0006, 0.0),
+        "counts": (0.004, 0.004),
         "relations": (0.0178, 0.0041),
         "visibility": (0.0, 0.0014),
         "programs": (0.0014, 0.0463),
@@ -52,6 +56,7 @@ COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     },
     "gibson": {
         "scene": (0.0061, 0.0001, 1.0),
+        "counts": (0.004, 0.004),
         "relations": (0.025, 0.0914),
         "visibility": (0.0012, 0.0018),
         "programs": (0.0022, 0.0931),

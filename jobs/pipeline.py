@@ -17,6 +17,7 @@ from factory.snapshot import Snapshot
 from factory.unit import InputFile, Unit
 from jobs.costs import stage_costs
 from jobs.stages import (
+    CountStage,
     EpisodeStage,
     PriorsAggregate,
     ProgramStage,
@@ -49,12 +50,13 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """Build the six stages under `config`, with the nine tables that they publish."""
+    """Build the seven stages under `config`, with the nine tables that they publish."""
     agent, preamble = config.agent, config.text.preamble
     return Pipeline(
         name="condvln",
         stages=(
             SceneStage(agent, config.limits),
+            CountStage(config.thresholds, config.sampling.anchor_size),
             RelationStage(config.thresholds),
             VisibilityStage(config.places.eye_height, config.places.island_radius, agent.max_climb),
             ProgramStage(
@@ -85,9 +87,11 @@ def build_pipeline(config: Config) -> Pipeline:
 
 
 def code_versions(config: Config) -> dict[str, int]:
-    """Return the versions of the code that decide rows: of each stage, of the priors, and of the choice of episodes."""
+    """Return the versions of the code that decide rows: of each stage, of the priors and what they sum, and of the
+    choice of episodes.
+    """
     pipeline = build_pipeline(config)
-    stages = {stage.name: stage.version for stage in pipeline.stages}
+    stages = {stage.name: stage.version for stage in pipeline.stages if stage.name != CountStage.name}
     return stages | {one.name: one.version for one in pipeline.aggregates} | {"select": VERSION}
 
 

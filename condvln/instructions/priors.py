@@ -169,6 +169,10 @@ class LabelPriors:
     def _counts(self) -> pa.Table:
         return self.parts[0] if self.summed else _summed(self.parts)
 
+    def rows(self) -> pa.Table:
+        """Return the counts as they are, not summed: a table of schema `PRIORS`."""
+        return pa.concat_tables([PRIORS.empty_table(), *self.parts]).combine_chunks()
+
     def table(self) -> pa.Table:
         """Return the sums as a table of schema `PRIORS`, sorted."""
         return self._counts
@@ -313,8 +317,8 @@ def _of_room(
     possible = possible.union(*called_otherwise(arrays))
     absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
     rows = _Rows()
-    rows.add(["", *here], "", repeat(""), repeat(False), repeat(1), repeat(0))
-    rows.add([*absent], "", repeat(""), repeat(False), repeat(0), repeat(1))
+    rows.add(["", *sorted(here)], "", repeat(""), repeat(False), repeat(1), repeat(0))
+    rows.add(sorted(absent), "", repeat(""), repeat(False), repeat(0), repeat(1))
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)

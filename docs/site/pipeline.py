@@ -15,6 +15,7 @@ FILE = Path(__file__).resolve().parents[1] / "pipeline.svg"
 
 WORK = {
     "scene": ("condvln/sources", "rooms and objects"),
+    "counts": ("condvln/instructions", "how often what is true"),
     "relations": ("condvln/relations", "distances, predicates"),
     "visibility": ("condvln/episodes", "what can be seen"),
     "programs": ("condvln/instructions", "decision trees"),
@@ -23,7 +24,7 @@ WORK = {
 }
 """The folder of each stage's code, and what the stage finds."""
 
-WIDTH, BOX, GAP, LEFT = 1180, 150, 30, 65
+BOX, GAP, LEFT = 150, 30, 65
 
 
 def box(x: float, y: float, width: float, height: float, lines: list[str], colour: str) -> str:
@@ -57,6 +58,7 @@ def figure() -> str:
         Config(name="figure", store=root, sources=(SourceConfig(family="replicacad", root=root),))
     )
     parts = []
+    across = len(pipeline.stages) * (BOX + GAP) - GAP
     column = {stage.name: LEFT + at * (BOX + GAP) for at, stage in enumerate(pipeline.stages)}
     parts.append(box(LEFT, 20, BOX, 64, ["native files", "ReplicaCAD, ProcTHOR,", "Matterport3D, …"], "#eceff1"))
     parts.append(arrow((LEFT + BOX / 2, 84), (LEFT + BOX / 2, 138)))
@@ -64,8 +66,8 @@ def figure() -> str:
     parts.append(box(priors, 20, BOX, 64, ["priors", "labels usual in a room,", "over all scenes"], "#fff3e0"))
     parts.append(
         arrow(
-            (column["scene"] + BOX - 20, 138),
-            (column["scene"] + BOX - 20, 110),
+            (column["counts"] + BOX - 20, 138),
+            (column["counts"] + BOX - 20, 110),
             (priors - 20, 110),
             (priors - 20, 52),
             (priors - 2, 52),
@@ -74,14 +76,10 @@ def figure() -> str:
     )
     parts.append(arrow((priors + BOX / 2, 84), (priors + BOX / 2, 138), dashed=True))
     parts.append(
-        f'<rect x="{LEFT - 25}" y="125" width="{6 * BOX + 5 * GAP + 50}" height="165" rx="10" '
+        f'<rect x="{LEFT - 25}" y="125" width="{across + 50}" height="165" rx="10" '
         'fill="none" stroke="#90a4ae" stroke-dasharray="3 3"/>'
     )
-    parts.append(
-        label(
-            LEFT + 6 * BOX + 5 * GAP, 118, "one scene = one unit, one Ray task; each stage is kept under a key", "end"
-        )
-    )
+    parts.append(label(LEFT + across, 118, "one scene = one unit, one Ray task; each stage is kept under a key", "end"))
     for at, stage in enumerate(pipeline.stages):
         x = column[stage.name]
         parts.append(box(x, 140, BOX, 64, [stage.name, *WORK[stage.name]], "#e0f2f1"))
@@ -92,7 +90,7 @@ def figure() -> str:
             parts.append(label(x + BOX / 2, 236 + 17 * number, name))
         if tables:
             parts.append(arrow((x + BOX / 2, 204), (x + BOX / 2, 220)))
-    middle = LEFT + 3 * BOX + 2.5 * GAP
+    middle = LEFT + across / 2
     parts.append(arrow((middle, 290), (middle, 328)))
     stored = ["store: units, snapshots, refs", "Parquet tables; a ref moves to a snapshot in one step"]
     parts.append(box(middle - 200, 330, 400, 50, stored, "#e3f2fd"))
@@ -120,11 +118,11 @@ def figure() -> str:
         '<defs><marker id="head" markerWidth="9" markerHeight="9" refX="8" refY="4" orient="auto">'
         '<path d="M0,0 L9,4 L0,8 z" fill="#37474f"/></marker></defs>'
     )
-    height = under + 20
+    width, height = across + 2 * LEFT, under + 20
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
         'font-family="sans-serif" role="img" aria-label="The pipeline of CondVLN">'
-        f'<rect width="{WIDTH}" height="{height}" fill="white"/>{head}\n' + "\n".join(parts) + "\n</svg>\n"
+        f'<rect width="{width}" height="{height}" fill="white"/>{head}\n' + "\n".join(parts) + "\n</svg>\n"
     )
 
 

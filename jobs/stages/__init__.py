@@ -1,17 +1,18 @@
 """The stages of a scene: each wraps functions of `condvln` for the factory.
 
-scene → relations → visibility → programs → episodes → text. What a stage computes is decided in ``condvln``; here is
-only what it reads, what it is keyed on, and where its rows go. A change of what a stage makes for equal inputs must
-raise its ``version``; a golden test holds that.
+scene → counts → relations → visibility → programs → episodes → text. What a stage computes is decided in ``condvln``;
+here is only what it reads, what it is keyed on, and where its rows go. A change of what a stage makes
+for equal inputs must raise its ``version``; a golden test holds that.
 """
 
 from jobs.stages.episodes import EpisodeStage
-from jobs.stages.programs import PriorsAggregate, ProgramStage
+from jobs.stages.programs import CountStage, PriorsAggregate, ProgramStage
 from jobs.stages.scene import RelationStage, SceneStage
 from jobs.stages.text import TextStage
 from jobs.stages.visibility import VisibilityStage
 
 __all__ = [
+    "CountStage",
     "EpisodeStage",
     "PriorsAggregate",
     "ProgramStage",

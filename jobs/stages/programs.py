@@ -1,9 +1,12 @@
-"""Stage ``programs``: draws candidate programs of a scene with priors that are counted over all scenes."""
+"""Stages ``counts`` and ``programs``: what a scene adds to the priors, and candidate programs drawn with the priors of
+all scenes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import pyarrow as pa
 
@@ -35,28 +38,50 @@ from schemas.config import (
     Thresholds,
 )
 
-__all__ = ["PriorsAggregate", "ProgramStage"]
+__all__ = ["CountStage", "PriorsAggregate", "ProgramStage"]
+
+
+COUNTING: Final = 12
+"""Version of how statements are counted, in a scene and over all scenes."""
 
 
 @dataclass
-class PriorsAggregate(Aggregate):
-    """Counts, for each type of room and over all scenes of all sources, how many rooms hold a label, and how often a
-    statement (such as "a pillow near the bed") is true.
+class CountStage(Stage):
+    """Rooms and objects → for each type of room, how many rooms of the scene hold a label, and how often a statement
+    (such as "a pillow near the bed") is true. Workers count; the driver only adds.
     """
 
     thresholds: Thresholds
     anchor_size: float
+    name: str = "counts"
+    version: int = COUNTING
+    tables: tuple[str, ...] = ("counts",)
+    reads: tuple[str, ...] | None = ("rooms", "objects")
+
+    def parameters(self, unit: Unit) -> JSON:
+        return {"thresholds": dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        found = LabelPriors.of_tables(upstream["rooms"], upstream["objects"], self.thresholds, self.anchor_size)
+        return StageOutput(tables={"counts": found.rows()})
+
+
+@dataclass
+class PriorsAggregate(Aggregate):
+    """Sums of what is counted in each scene, over all scenes of all sources."""
+
+    thresholds: Thresholds
+    anchor_size: float
     name: str = "priors"
-    version: int = 12
-    after: str = "scene"
-    tables: tuple[str, ...] = ("rooms", "objects")
+    version: int = COUNTING
+    after: str = "counts"
+    tables: tuple[str, ...] = ("counts",)
 
     def parameters(self) -> JSON:
         return {"thresholds": dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
 
     def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
-        parts = (LabelPriors.of_tables(t["rooms"], t["objects"], self.thresholds, self.anchor_size) for _, t in tables)
-        return LabelPriors.merged(parts).table()
+        return LabelPriors.merged(LabelPriors.from_table(one["counts"]) for _, one in tables).table()
 
 
 @dataclass

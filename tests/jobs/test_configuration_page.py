@@ -28,7 +28,7 @@ from schemas.config import Config
 from schemas.errors import CondVLNError
 from tests.condvln.relations.layered_rooms import layered_room
 
-STAGES = ("scene", "relations", "visibility", "programs", "episodes", "text", "priors")
+STAGES = ("scene", "counts", "relations", "visibility", "programs", "episodes", "text", "priors")
 
 CHANGED: dict[str, Any] = {
     "name": "other",
