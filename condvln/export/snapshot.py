@@ -26,7 +26,7 @@ from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS, Split
 from condvln.export.staging import staged
-from condvln.export.tables import BATCH_ROWS, JoinedScene, SnapshotTables, joined_by_scene
+from condvln.export.tables import BATCH_ROWS, JoinedScene, SnapshotTables, instructions_by_scene, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
 from condvln.export.variants import ORACLE_COLUMNS, OracleText, kept_texts, oracle_text_of
 from condvln.export.vlnce import SCENE_PATTERNS
@@ -256,22 +256,35 @@ def _write_changelog(
 ROWS_KEPT: Final = BATCH_ROWS
 """Number of episodes up to which the rows of a source are kept: as many as are decoded at a time."""
 
+INSTRUCTIONS_KEPT: Final = 6 * BATCH_ROWS
+"""Number of episodes up to which the instructions of a source are kept from the first pass for the second one: up to
+60 MB.
+"""
+
 SplitCodes = dict[str, npt.NDArray[np.int8]]
 """By source, the split code of each row of the episodes table in reading order."""
 
 
 class _JoinedRows:
-    """The rows of a snapshot scene by scene, for two passes. Those of a small source are decoded once and kept."""
+    """The rows of a snapshot scene by scene, for two passes. Those of a small source are decoded once and kept, of a
+    larger one the instructions.
+    """
 
     def __init__(self, tables: SnapshotTables, splits_of: SplitCodes) -> None:
         self.tables = tables
         self._few = {source for source, codes in splits_of.items() if len(codes) <= ROWS_KEPT}
         self._kept: dict[str, list[JoinedScene]] = {}
+        self._some = {source for source, codes in splits_of.items() if len(codes) <= INSTRUCTIONS_KEPT}
+        self._told: dict[str, list[tuple[str, list[Row]]]] = {}
 
     def of(self, source: str, columns: Sequence[str] | None) -> Iterable[JoinedScene]:
         """Return what :func:`joined_by_scene` yields, with at least the `columns` of the episodes; all if None."""
         if source not in self._few:
-            return joined_by_scene(self.tables, source, columns)
+            told = self._told.get(source)
+            if told is None and source in self._some:
+                told = [*instructions_by_scene(self.tables, source)]
+                self._told = {source: told}
+            return joined_by_scene(self.tables, source, columns, told)
         if source not in self._kept:
             self._kept = {source: list(joined_by_scene(self.tables, source))}
         return self._kept[source]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -21,6 +21,7 @@ __all__ = [
     "JoinedScene",
     "MemoryTables",
     "SnapshotTables",
+    "instructions_by_scene",
     "joined_by_scene",
     "rows_by_scene",
 ]
@@ -150,14 +151,26 @@ JoinedScene = tuple[str, list[Row], dict[str, Row]]
 """The id of a scene, its episodes, and its instructions by id."""
 
 
-def joined_by_scene(tables: SnapshotTables, source: str, columns: Sequence[str] | None = None) -> Iterator[JoinedScene]:
+def instructions_by_scene(tables: SnapshotTables, source: str) -> Iterator[tuple[str, list[Row]]]:
+    """Yield the id of each scene, with all rows of its instructions."""
+    return rows_by_scene(tables.batches("instructions", source), f"instructions of {source}")
+
+
+def joined_by_scene(
+    tables: SnapshotTables,
+    source: str,
+    columns: Sequence[str] | None = None,
+    told: Iterable[tuple[str, list[Row]]] | None = None,
+) -> Iterator[JoinedScene]:
     """Yield for each scene its id, its episodes, and its instructions by id. Only one scene at a time is in memory.
+
+    told : what :func:`instructions_by_scene` yields, if it is known
 
     Raises
     ------
     StoreError : an episode's instruction is not in the snapshot
     """
-    told = rows_by_scene(tables.batches("instructions", source), f"instructions of {source}")
+    told = iter(instructions_by_scene(tables, source) if told is None else told)
     scene_told, instructions = "", {}
     for scene, episodes in rows_by_scene(tables.batches("episodes", source, columns), f"episodes of {source}"):
         while scene_told < scene:

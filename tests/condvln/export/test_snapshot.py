@@ -5,12 +5,14 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from condvln.export import snapshot
 from condvln.export.rows import rows_of
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from condvln.export.splits import SPLITS
@@ -134,6 +136,32 @@ def test_bytes_do_not_depend_on_how_the_rows_are_cut(exported: Path, tables: Mem
 
     export_snapshot(Sliced(tables.id, tables.tables), tmp_path, oracle_texts=linear_text)
     assert hashes(tmp_path) == hashes(exported)
+
+
+@pytest.mark.parametrize(("rows", "instructions", "decoded"), [(0, 0, 2), (0, 10**6, 1), (10**6, 10**6, 1)])
+def test_bytes_do_not_depend_on_what_is_kept_for_the_second_pass(
+    exported: Path,
+    tables: MemoryTables,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    rows: int,
+    instructions: int,
+    decoded: int,
+) -> None:
+    """Nothing, the instructions, or all rows; what is kept of the last source is decoded once."""
+    asked: Counter[str] = Counter()
+
+    class Counted(MemoryTables):
+        def batches(self, table: str, source: str, columns: Any = None) -> Any:
+            if table == "instructions" and columns is None:
+                asked[source] += 1
+            return MemoryTables.batches(self, table, source, columns)
+
+    monkeypatch.setattr(snapshot, "ROWS_KEPT", rows)
+    monkeypatch.setattr(snapshot, "INSTRUCTIONS_KEPT", instructions)
+    export_snapshot(Counted(tables.id, tables.tables), tmp_path, oracle_texts=linear_text)
+    assert hashes(tmp_path) == hashes(exported)
+    assert min(asked.values()) == decoded
 
 
 def test_a_folder_of_parts_exports_as_the_tables_do(exported: Path, tables: MemoryTables, tmp_path: Path) -> None:
