@@ -19,7 +19,9 @@ F64 = NDArray[np.float64]
 U32 = NDArray[np.uint32]
 
 TOLERANCE: Final = 1e-4
-"""Norm of the gradient at which a fit ends. The weights are then within 1/λ of it of the minimum."""
+"""Norm of the gradient at which a fit ends. A weight of n equal words is then within n/λ of it of the minimum, and a
+probability within a tenth of what separates scores (``TIE``).
+"""
 GRADIENT_STEPS: Final = 300
 """Largest number of conjugate gradient steps within a Newton step."""
 FORCING: Final = 0.05
