@@ -267,9 +267,11 @@ def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
     """Inlined at two places, a kernel would be compiled twice; one that Python calls is compiled by itself anyway.
 
     The kernels that rasterise triangles are faster if they are compiled apart. So are the kernels of stops whose rare
-    parts, which allocate, stay calls: a part that may fail makes a kernel count the references of all its arrays.
+    parts, which allocate, stay calls: a part that may fail makes a kernel count the references of all its arrays. A
+    candidate is drawn by four kernels: one that holds all of them takes twice as long to compile.
     """
     rare_parts = {"_closes_cycle", "_draw_label", "_search"}
+    large_parts = {"_finish", "draw_conditions", "draw_stops"}
     package = Path(condvln.__path__[0])
     for path in sorted(package.rglob("*.py")):
         if re.search(r"condvln\.compiled|kernels|navigation\.recast", path.read_text()):
@@ -291,8 +293,8 @@ def test_kernels_that_one_place_calls_are_inlined_there_and_no_others() -> None:
     assert {kernel.py_func.__module__ for kernel in apart} == {"condvln.navigation.recast.heightfield"}
     expected -= apart
     found = {kernel for kernel in kernels if kernel.targetoptions.get("inline") == "always"}
-    assert {kernel.py_func.__qualname__ for kernel in found ^ expected} == rare_parts
-    assert not rare_parts & {kernel.py_func.__qualname__ for kernel in found}
+    assert {kernel.py_func.__qualname__ for kernel in found ^ expected} == rare_parts | large_parts
+    assert not (rare_parts | large_parts) & {kernel.py_func.__qualname__ for kernel in found}
 
 
 def used_in(code: CodeType, names: Mapping[str, object]) -> Iterator[Dispatcher]:

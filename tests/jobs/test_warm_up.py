@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -70,3 +71,39 @@ def test_what_the_cache_holds_is_not_compiled_again() -> None:
     report = compile_kernels(said.append, ("json scan",))
     assert report.document == {"compiled": {"json scan": 0}}
     assert said[-1] == "kernels 1/1: json scan, 0 compiled"
+
+
+COLD = """
+import importlib, sys
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+from condvln.compiled import warm_up
+from jobs.warm_up import KERNEL_MODULES
+
+groups = sys.argv[1:]
+for group in groups:
+    importlib.import_module(KERNEL_MODULES[group])
+warm_up(only=groups)
+kernels = {
+    kernel for name, module in sys.modules.items() if name.startswith("condvln.")
+    for kernel in vars(module).values() if isinstance(kernel, Dispatcher)
+}
+print(sum(bool(kernel.signatures) for kernel in kernels))
+for kernel in kernels:
+    for signature in kernel.signatures:
+        if len(kernel.signatures) > 1 and any(isinstance(one, types.Literal) for one in signature):
+            print(kernel.py_func.__name__)
+"""
+
+
+@pytest.mark.costly
+def test_no_kernel_is_compiled_once_more_for_the_value_of_a_literal(tmp_path: Path) -> None:
+    """With an empty cache, in the two groups that do most; kernels of a few lines may be."""
+    groups = ["candidates", "follower"]
+    done = subprocess.run(
+        [sys.executable, "-c", COLD, *groups], capture_output=True, text=True, check=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+    )  # fmt: skip
+    count, *twice = done.stdout.splitlines()
+    assert int(count) > 40
+    assert set(twice) <= {"_any", "_append", "cumulative", "index"}

@@ -227,7 +227,7 @@ def _statements(room: int, start: int, tables: StatementTables, stream: Doubles,
     return int(tables.pool_of_form[form])
 
 
-@inlined
+@compiled
 def draw_conditions(
     truths: Bools,
     rooms: Longs,

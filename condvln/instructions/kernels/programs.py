@@ -337,7 +337,7 @@ def _presupposed(
     return Given(stops[:count], things[:besides], pairs[:related])
 
 
-@inlined
+@compiled
 def _finish(
     wanted: WantedProgram,
     room_of: Longs,

@@ -263,7 +263,7 @@ def fits(allowed: Bools, free: Bools, n: int, waypoints: int, questions: Questio
 @compiled
 def targets_fit(allowed: Bools, free: Bools, n: int, waypoints: int, questions: Questions) -> bool:
     """Return `fits`, for callers in Python."""
-    return fits(allowed, free, n, waypoints, uncounted(questions))
+    return fits(uncounted(allowed), uncounted(free), n, waypoints, uncounted(questions))
 
 
 @compiled
@@ -555,7 +555,7 @@ def prepare_stops(wanted: WantedStops, tables: TargetTables, space: StopSpace) -
     used, cap, order, preferred = wanted.used, wanted.cap, tables.order, tables.weights
     spans, members, drawable = tables.by_label.spans, tables.by_label.members, space.masks[DRAWABLE]
     drawable[:] = False
-    kept = 0
+    kept = np.int64(0)  # of this type at once: a literal 0 would compile what it is handed to once more
     for k in range(len(order)):
         label = order[k]
         if used[label] + 1 <= cap:
@@ -569,7 +569,7 @@ def prepare_stops(wanted: WantedStops, tables: TargetTables, space: StopSpace) -
     return kept
 
 
-@inlined
+@compiled
 def draw_stops(
     tries: int,
     wanted: WantedStops,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.geometry import ONE, ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -40,6 +40,8 @@ LEAST_PROGRESS = np.float32(1e-3)
 # Number of positions tried in the search for a path around, and the distance in metres under which two are merged.
 MAX_AROUND = 512
 SAME_PLACE = np.float32(0.02)
+# A walk that is not careful; see `follow`.
+BOLD = constant(False)
 # Tolerance in radians of "within one turn", for rounding.
 TURN_SLACK = 1e-6
 
@@ -473,7 +475,7 @@ def follow_many(
     for walk in range(len(starts)):
         own = Gait(moves[walk], headings[walk], gait.turn, gait.length, gait.sliding)
         actions, _, _, _, outcome = follow(
-            mesh, own, starts[walk], goals[first : goal_ends[walk]], limits, max_actions, False
+            mesh, own, starts[walk], goals[first : goal_ends[walk]], limits, max_actions, BOLD
         )
         made[walk], outcomes[walk] = len(actions), outcome
         first = goal_ends[walk]
