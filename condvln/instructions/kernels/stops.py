@@ -555,7 +555,7 @@ def prepare_stops(wanted: WantedStops, tables: TargetTables, space: StopSpace) -
     used, cap, order, preferred = wanted.used, wanted.cap, tables.order, tables.weights
     spans, members, drawable = tables.by_label.spans, tables.by_label.members, space.masks[DRAWABLE]
     drawable[:] = False
-    kept = np.int64(0)  # of this type at once: a literal 0 would compile what it is handed to once more
+    kept = int(np.int64(0))  # not the literal 0, for whose value the kernels that get it would be compiled, too
     for k in range(len(order)):
         label = order[k]
         if used[label] + 1 <= cap:

@@ -34,7 +34,11 @@ def grown_rows(array: Array, needed: int) -> Array:
     if needed <= len(array):
         return array
     larger = np.empty((max(needed, 2 * len(array)), array.shape[1]), array.dtype)
-    larger[: len(array)] = array
+    # Value by value: to compile an assignment of a table takes numba 2 to 3 seconds, for the message that the shapes
+    # differ.
+    for row in range(len(array)):
+        for column in range(array.shape[1]):
+            larger[row, column] = array[row, column]
     return larger
 
 
