@@ -28,47 +28,47 @@ FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
 
 COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "replicacad": {
-        "scene": (0.0115, 0.0008, 0.0),
-        "counts": (0.004, 0.004),
-        "relations": (0.0498, 0.0308),
-        "visibility": (0.0, 0.0011),
-        "programs": (0.0, 0.5799),
-        "episodes": (0.2058, 0.0),
-        "text": (0.0258,),
+        "scene": (0.0053, 0.0003, 0.0),
+        "counts": (0.0039, 0.0005),
+        "relations": (0.0069, 0.008),
+        "visibility": (0.0, 0.0005),
+        "programs": (0.0004, 0.0722),
+        "episodes": (0.0885, 0.0014),
+        "text": (0.0203,),
     },
     "procthor": {
-        "scene": (0.0134, 0.0006, 0.0),
-        "counts": (0.004, 0.004),
-        "relations": (0.0231, 0.0118),
-        "visibility": (0.0, 0.0018),
-        "programs": (0.0024, 0.2318),
-        "episodes": (0.1288, 0.0275),
-        "text": (0.0269,),
+        "scene": (0.0038, 0.0005, 0.0),
+        "counts": (0.0041, 0.0089),
+        "relations": (0.0071, 0.0119),
+        "visibility": (0.0017, 0.0004),
+        "programs": (0.0009, 0.0621),
+        "episodes": (0.0351, 0.0147),
+        "text": (0.0227,),
     },
     "ithor": {
-        "scene": (0.015, 0.0006, 0.0),
-        "counts": (0.004, 0.004),
-        "relations": (0.0178, 0.0041),
-        "visibility": (0.0, 0.0014),
-        "programs": (0.0014, 0.0463),
-        "episodes": (0.0361, 0.0042),
-        "text": (0.0106,),
+        "scene": (0.0108, 0.0003, 0.0),
+        "counts": (0.0043, 0.0006),
+        "relations": (0.0067, 0.0033),
+        "visibility": (0.0, 0.0006),
+        "programs": (0.0007, 0.0156),
+        "episodes": (0.0196, 0.0025),
+        "text": (0.0087,),
     },
     "gibson": {
-        "scene": (0.0061, 0.0001, 1.0),
-        "counts": (0.004, 0.004),
-        "relations": (0.025, 0.0914),
-        "visibility": (0.0012, 0.0018),
-        "programs": (0.0022, 0.0931),
+        "scene": (0.0045, 0.0001, 1.0),
+        "counts": (0.0, 0.1308),
+        "relations": (0.0163, 0.0948),
+        "visibility": (0.0008, 0.0007),
+        "programs": (0.0011, 0.0128),
         # Its real scenes at hand have no navmesh; where one has, its episodes are taken to cost what ProcTHOR's do.
-        "episodes": (0.1288, 0.0275),
-        "text": (0.0114,),
+        "episodes": (0.0351, 0.0147),
+        "text": (0.0084,),
     },
 }
 """CPU seconds of the reference machine for one of each of a stage's ``FEATURES``, by family.
 
-Fitted by ``python -m benchmarks costs`` on 2 busy cores, to 20 scenes of ReplicaCAD, 20 houses of ProcTHOR, 7 plans of
-iTHOR and 14 scans of Gibson with 4, 12 and 24 episodes of each category. Of ``mesh_mb`` (building a navmesh from a
+Fitted by ``python -m benchmarks costs`` on one of 2 cores, to 24 scenes of ReplicaCAD, 24 houses of ProcTHOR, 7 plans
+of iTHOR and 14 scans of Gibson with 4, 12 and 24 episodes of each category. Of ``mesh_mb`` (building a navmesh from a
 scan) only the order of magnitude is known: there are no scans to measure on. A soak test compares the estimates with
 first runs of real scenes; where they are wrong by a factor of two, fit the table again.
 """
