@@ -8,19 +8,20 @@ solver; scikit-learn's, run to a small gradient, makes the same ones.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import chain, pairwise
-from typing import Final, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from condvln.bias.blocks import NO_GUESS, progressive
-from condvln.bias.newton_direction import TOLERANCE, newton_direction
+from condvln.bias.newton_direction import TOLERANCE, Preconditioner, head_factor, newton_direction
 from condvln.compiled import constant
 
 __all__ = ["Guesses", "Labelled", "fitted_scores", "regressed", "word_features"]
@@ -47,6 +48,8 @@ HALVINGS: Final = 30
 LEAST_DESCENT: Final = 1e-4
 """Least share of the descent that its slope promises for which a step is taken (Armijo's rule)."""
 ROUNDING: Final = 1e-13
+MOST_IN_HEAD: Final = 256
+"""Largest number of words, the most frequent ones, whose products are in the preconditioner."""
 
 
 class Labelled(Protocol):
@@ -128,20 +131,17 @@ def fitted_scores(features: csr_matrix, gold: NDArray[np.int64], inside: Bools) 
         classes in each
     """
     fits = _Fits.of(features, gold, inside)
-    weights = np.zeros(fits.penalty.shape)
     scores, at = np.empty(fits.hot.shape), np.arange(inside.shape[1])
+    found = fits.at(np.zeros((fits.words.shape[1], *fits.hot.shape[1:])))
     for _ in range(NEWTON_STEPS):
-        found = fits.scores(weights)
-        shares = fits.shares(found)
-        gradient = fits.gradient(weights, shares)
-        scores[:, at] = found
+        gradient = fits.gradient(found)
+        scores[:, at] = found.scores
         running = _dot(gradient, gradient) > TOLERANCE**2
         if not running.any():
             break
         if not running.all():
-            at, fits = at[running], fits.subset(running)
-            weights, gradient, found, shares = (part[:, running] for part in (weights, gradient, found, shares))
-        weights = fits.step(weights, gradient, found, shares)
+            at, fits, found, gradient = at[running], fits.subset(running), found.subset(running), gradient[:, running]
+        found = fits.step(found, gradient)
     return scores
 
 
@@ -153,15 +153,34 @@ def _dot(one: F64, other: F64) -> F64:
     return found
 
 
+class _Place(NamedTuple):
+    """Weights of fits side by side, (words, fits, classes), and what follows from them.
+
+    scores : (texts, fits, classes), of each class for each text
+    shares : (texts, fits, classes), the probabilities of the classes; 0 for texts that a fit does not learn from
+    loss : (fits,)
+    """
+
+    weights: F64
+    scores: F64
+    shares: F64
+    loss: F64
+
+    def subset(self, mask: Bools) -> _Place:
+        """Return the weights of the fits in `mask`."""
+        return _Place(self.weights[:, mask], self.scores[:, mask], self.shares[:, mask], self.loss[mask])
+
+
 @dataclass(frozen=True)
 class _Fits:
-    """Losses of fits side by side. Weights have the shape (words and intercept, fits, classes).
+    """Losses of fits side by side. Weights have the shape (words, fits, classes).
 
-    words : (texts, words), the features; equal columns are one
+    words : (texts, words), first the intercept, which is in all texts, then the features, the most frequent one first;
+        equal columns are one
     hot : (texts, fits, classes), 1 for the right class of a text that a fit learns from
     inside : (texts, fits, 1), 1 for the texts that a fit learns from
     absent : (fits, classes), 0 for the classes that a fit has, else −∞
-    penalty : (words and intercept, fits, classes), 0 for the intercept
+    penalty : (words, fits, 1), 0 for the intercept
     """
 
     words: csr_matrix
@@ -169,6 +188,7 @@ class _Fits:
     inside: F64
     absent: F64
     penalty: F64
+    preconditioner: Preconditioner
 
     @classmethod
     def of(cls, features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> _Fits:
@@ -178,70 +198,91 @@ class _Fits:
         absent = np.where(hot.any(axis=0), 0.0, -np.inf)
         # Words that always occur together have equal weights. One weight, their sum, stands for them: the sum of their
         # squares is its square by their number.
-        penalty = np.append(PENALTY / times, 0.0)[:, None, None] * np.ones(absent.shape)
+        penalty = np.append(0.0, PENALTY / times)[:, None, None] * np.ones((len(absent), 1))
         # Two classes have one weight vector w in scikit-learn. Here each has its own, w/2 and −w/2: half the norm.
         penalty[:, (absent == 0.0).sum(axis=1) == 2] *= 2.0
-        return cls(words, hot, inside[:, :, None].astype(np.float64), absent, penalty)
+        words, middle = _with_intercept(words), len(absent) // 2
+        classes = int((absent[middle] == 0.0).sum())
+        near = _preconditioner(words[inside[:, middle]], penalty[:, middle, 0], classes)
+        return cls(words, hot, inside[:, :, None].astype(np.float64), absent, penalty, near)
 
     def subset(self, mask: Bools) -> _Fits:
         """Return the fits in `mask`."""
-        return _Fits(self.words, self.hot[:, mask], self.inside[:, mask], self.absent[mask], self.penalty[:, mask])
+        hot, inside, penalty = (one[:, mask] for one in (self.hot, self.inside, self.penalty))
+        return _Fits(self.words, hot, inside, self.absent[mask], penalty, self.preconditioner)
 
-    def scores(self, weights: F64) -> F64:
-        """Return the score of each class for each text, (texts, fits, classes)."""
-        products = self.words @ weights[:-1].reshape(len(weights) - 1, -1)
-        found: F64 = products.reshape(-1, *weights.shape[1:]) + (weights[-1] + self.absent)
-        return found
-
-    def loss(self, weights: F64, scores: F64) -> F64:
-        """Return the loss of each fit, (fits,); `scores` are those of the weights."""
+    def at(self, weights: F64) -> _Place:
+        """Return the scores, shares and losses of these weights."""
+        scores: F64 = self._times(self.words, weights) + self.absent
         top = _over_classes(np.maximum, scores)
-        logs = (np.log(_over_classes(np.add, np.exp(scores - top[..., None]))) + top) * self.inside[..., 0]
+        shares = np.exp(scores - top[..., None])
+        sums = _over_classes(np.add, shares)
+        shares *= self.inside / sums[..., None]
+        logs = (np.log(sums) + top) * self.inside[..., 0]
         right = _over_classes(np.add, np.where(self.hot > 0.0, scores, 0.0))
-        found: F64 = (logs - right).sum(axis=0) + _dot(self.penalty * weights, weights) / 2
+        loss = (logs - right).sum(axis=0) + _dot(self.penalty * weights, weights) / 2
+        return _Place(weights, scores, shares, loss)
+
+    def gradient(self, place: _Place) -> F64:
+        """Return the gradient of the loss."""
+        found: F64 = self.penalty * place.weights + self._times(self.words.T, place.shares - self.hot)
         return found
 
-    def gradient(self, weights: F64, shares: F64) -> F64:
-        """Return the gradient of the loss; `shares` are those of the weights."""
-        found: F64 = self.penalty * weights
-        excess = shares - self.hot
-        found[:-1] += (self.words.T @ excess.reshape(len(excess), -1)).reshape(-1, *excess.shape[1:])
-        found[-1] += excess.sum(axis=0)
-        return found
-
-    def step(self, weights: F64, gradient: F64, scores: F64, shares: F64) -> F64:
-        """Return the weights after one step of Newton's method, from the weights with this gradient, these scores and
-        shares. In each fit, the step is halved until it lowers the loss enough.
+    def step(self, place: _Place, gradient: F64) -> _Place:
+        """Return where one step of Newton's method leads from the weights with this gradient. In each fit, the step is
+        halved until it lowers the loss enough.
         """
-        ahead = self._direction(gradient, shares)
-        slope, loss = _dot(gradient, ahead), self.loss(weights, scores)
+        ahead = self._direction(gradient, place.shares)
+        slope, loss = _dot(gradient, ahead), place.loss
         length = np.ones(len(slope))
         for _ in range(HALVINGS):
-            new = weights + length[:, None] * ahead
+            new = self.at(place.weights + length[:, None] * ahead)
             # Near the minimum the loss changes by less than its rounding.
-            high = self.loss(new, self.scores(new)) > loss + LEAST_DESCENT * length * slope + ROUNDING * loss
+            high = new.loss > loss + LEAST_DESCENT * length * slope + ROUNDING * loss
             if not high.any():
                 break
             length[high] /= 2
         return new
 
-    def shares(self, scores: F64) -> F64:
-        """Return, for each fit, the probability of each class for each text by these scores; 0 for texts that the fit
-        does not learn from.
-        """
-        odds = np.exp(scores - _over_classes(np.maximum, scores)[..., None])
-        odds *= self.inside / _over_classes(np.add, odds)[..., None]
-        return odds
+    @staticmethod
+    def _times(matrix: csr_matrix, columns: F64) -> F64:
+        """Return the product of `matrix` and the columns of each class of each fit."""
+        found: F64 = (matrix @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+        return found
 
     def _direction(self, gradient: F64, shares: F64) -> F64:
         """Return the direction of Newton's step."""
-        starts, words = (one.astype(np.uint32) for one in (self.words.indptr, self.words.indices))
         begins = (self.inside == 0.0).sum(axis=(1, 2)).astype(np.uint32)
         shares, slope, penalty = (
             np.ascontiguousarray(one).reshape(len(one), -1) for one in (shares, gradient, self.penalty)
         )
-        found = newton_direction(starts, words, begins, shares, slope, penalty, constant(gradient.shape[2]))
+        classes = constant(gradient.shape[2])
+        found = newton_direction(*_bounds(self.words), begins, shares, slope, penalty, *self.preconditioner, classes)
         return found.reshape(gradient.shape)
+
+
+def _with_intercept(words: csr_matrix) -> csr_matrix:
+    """Return `words` after a column of ones."""
+    texts, count = words.shape
+    begins, columns = words.indptr + np.arange(texts + 1), np.insert(words.indices + 1, words.indptr[:-1], 0)
+    return csr_matrix((np.ones(len(columns)), columns, begins), shape=(texts, count + 1))
+
+
+def _preconditioner(learned: csr_matrix, penalty: F64, classes: int) -> Preconditioner:
+    """Return an approximate inverse of the Hessian of a fit: that for equal shares, without the products of two words
+    one of which is rare. It suits fits to more and to fewer texts well enough.
+
+    learned : (texts, words) of the texts that the fit learns from; penalty : (words,)
+    """
+    # The factor of so many words costs half as much in each step as the words of the texts.
+    size = min(learned.shape[1], MOST_IN_HEAD, math.isqrt(learned.nnz))
+    factor = head_factor(*_bounds(learned), constant(learned.shape[0]), penalty[:size], 1.0 / classes)
+    return Preconditioner(factor, 1.0 / (penalty + np.bincount(learned.indices, minlength=len(penalty)) / classes))
+
+
+def _bounds(words: csr_matrix) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Return where the words of each text begin, and the words, as kernels take them."""
+    return words.indptr.astype(np.uint32), words.indices.astype(np.uint32)
 
 
 def _over_classes(operation: np.ufunc, values: F64) -> F64:
@@ -253,11 +294,12 @@ def _over_classes(operation: np.ufunc, values: F64) -> F64:
 
 
 def _different(features: csr_matrix) -> tuple[csr_matrix, NDArray[np.int64]]:
-    """Return the different columns of `features`, and how often each of them occurs."""
+    """Return the different columns of `features`, the most frequent words first, and how often each of them occurs."""
     columns = features.tocsc()
     first: dict[bytes, int] = {}
     number = [
         first.setdefault(columns.indices[begin:end].tobytes(), len(first)) for begin, end in pairwise(columns.indptr)
     ]
     _, at, times = np.unique(number, return_index=True, return_counts=True)
-    return columns[:, at].tocsr(), times
+    order = np.argsort(-np.diff(columns.indptr)[at], kind="stable")
+    return columns[:, at[order]].tocsr(), times[order]
