@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.bias.blocks import NO_GUESS
+from condvln.bias.coded_views import CodedViews
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.guessers import FIXED
 from condvln.bias.learners import LEARNED
@@ -220,11 +221,12 @@ class _Part(NamedTuple):
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
     """Return, by guesser name, the guessed leaf of each episode. A learner treats each source separately."""
     found = {name: np.array([guesser(g) for g in views], dtype=np.int64) for name, guesser in FIXED.items()}
-    for name, learner in LEARNED.items():
-        found[name] = np.full(len(views), NO_GUESS, dtype=np.int64)
-        for family in np.unique(source):
-            mine = np.flatnonzero(source == family)
-            found[name][mine] = learner([views[k] for k in mine.tolist()])
+    found |= {name: np.full(len(views), NO_GUESS, dtype=np.int64) for name in LEARNED}
+    for family in np.unique(source):
+        mine = np.flatnonzero(source == family)
+        own = CodedViews([views[k] for k in mine.tolist()])
+        for name, learner in LEARNED.items():
+            found[name][mine] = learner(own)
     return found
 
 

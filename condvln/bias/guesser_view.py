@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 from condvln.scene.layouts import layout_of
 from schemas.errors import FormatError
@@ -14,8 +13,7 @@ from schemas.program import SHAPES, Category
 __all__ = ["Asked", "GuesserView", "LeafView"]
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
+class Asked(NamedTuple):
     """A condition and its truth. A guesser may learn from the truths in other episodes, but must not use those in the
     episode to be guessed.
 
@@ -30,8 +28,7 @@ class Asked:
     definite: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LeafView:
+class LeafView(NamedTuple):
     """What a guesser sees of one leaf.
 
     labels : labels of its stops in order, the goal last; room : type of the goal's room
@@ -44,8 +41,7 @@ class LeafView:
     route: float
 
 
-@dataclass(frozen=True, slots=True)
-class GuesserView:
+class GuesserView(NamedTuple):
     """What a guesser may see of an episode, and the gold leaf to learn from. ``scene`` only says which episodes share a
     scene.
 
@@ -99,17 +95,15 @@ class GuesserView:
 
 
 def _asked(condition: Mapping[str, Any]) -> Asked:
-    qualifier = condition["qualifier"] or {"predicate": "", "anchors": ()}
-    # Rows written before a qualifier could have two anchors hold the single anchor's label directly.
-    anchors = [qualifier["anchor_label"]] if "anchor_label" in qualifier else [a["label"] for a in qualifier["anchors"]]
-    return Asked(
-        label=condition["label"],
-        room=condition["room"]["label"],
-        predicate=qualifier["predicate"],
-        anchor=" + ".join(anchors),
-        truth=bool(condition["truth"]),
-        definite=bool(condition.get("definite", False)),
-    )
+    qualifier = condition["qualifier"]
+    predicate = anchor = ""
+    if qualifier:
+        predicate = qualifier["predicate"]
+        # Rows written before a qualifier could have two anchors hold the single anchor's label directly.
+        old = "anchor_label" in qualifier
+        anchor = qualifier["anchor_label"] if old else " + ".join([a["label"] for a in qualifier["anchors"]])
+    definite = bool(condition.get("definite", False))
+    return Asked(condition["label"], condition["room"]["label"], predicate, anchor, bool(condition["truth"]), definite)
 
 
 def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> LeafView:
@@ -117,9 +111,4 @@ def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> LeafView:
     distance, route = float(placed["geodesic_distance"]), float(placed["route_length"])
     if not isfinite(distance + route):
         raise ValueError("a distance is not finite")
-    return LeafView(
-        labels=tuple([move["label"] for move in moves]),
-        room=moves[-1]["room"]["label"],
-        distance=distance,
-        route=route,
-    )
+    return LeafView(tuple([move["label"] for move in moves]), moves[-1]["room"]["label"], distance, route)

@@ -5,19 +5,21 @@ distance.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache, lru_cache
 from typing import Final
 
 from condvln.bias.guesser_view import GuesserView
 from condvln.labels import vocabulary
-from schemas.program import SHAPES
+from schemas.program import SHAPES, Category
 
 __all__ = ["FIXED", "Guesser"]
 
 Guesser = Callable[[GuesserView], int]
 
 
-def _constant(view: GuesserView, truth: bool) -> int:
-    branches = SHAPES[view.category].branches
+@cache
+def _constant(category: Category, truth: bool) -> int:
+    branches = SHAPES[category].branches
     at = 0
     while at >= 0:
         at = branches[at].then if truth else branches[at].otherwise
@@ -26,12 +28,12 @@ def _constant(view: GuesserView, truth: bool) -> int:
 
 def always_then(view: GuesserView) -> int:
     """Return the leaf that is reached if every condition is true."""
-    return _constant(view, True)
+    return _constant(view.category, True)
 
 
 def always_else(view: GuesserView) -> int:
     """Return the leaf that is reached if every condition is false."""
-    return _constant(view, False)
+    return _constant(view.category, False)
 
 
 def last_named(view: GuesserView) -> int:
@@ -41,6 +43,7 @@ def last_named(view: GuesserView) -> int:
     return places.index(max(places))
 
 
+@lru_cache(maxsize=4096)
 def _noun(label: str) -> str:
     return vocabulary.entry(label).noun if vocabulary.fit_for_text(label) else label
 

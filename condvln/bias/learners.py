@@ -4,21 +4,20 @@ predict a leaf.
 
 from __future__ import annotations
 
-import re
-import sys
-from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache, reduce
-from itertools import pairwise, product
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, reduce
+from itertools import product
 from operator import add
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from condvln.bias.blocks import NO_GUESS, progressive
-from condvln.bias.guesser_view import Asked, GuesserView
-from condvln.bias.regression import Guesses, regressed
+from condvln.bias.coded_views import CodedViews, Indices, Statements, Words
+from condvln.bias.guesser_view import GuesserView
+from condvln.bias.regression import Guesses, Occurrences, coded_features, combined, dense, guessed_from
 from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from schemas.program import CATEGORIES, SHAPES, Category
@@ -38,12 +37,12 @@ WORDS_A_CLASS: Final = 10
 """Width in words of a length class: texts of one class count as equally long."""
 MOST_TIMES: Final = 4
 """Largest count of one word in one text; more occurrences count as this many."""
-TEXTS_KEPT: Final = 16_384
-"""Number of texts whose words are kept for the next guesser."""
-_SENTENCE_END: Final = re.compile(r"(?<=[.?!])\s+")
 
-Words = Callable[[GuesserView], Iterable[Hashable]]
-"""The words of a text that a regression learns from; a pair of words is one, too."""
+Key = Callable[[Statements], tuple[Indices, ...]]
+"""Returns the columns of statements that make two of them the same."""
+
+Kind = Callable[[CodedViews], Iterable[Occurrences]]
+"""Yields the features of one kind that a regression learns from."""
 
 
 @cache
@@ -85,31 +84,30 @@ def _usual_truth(category: Category) -> tuple[float, ...]:
 def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
     """Guess the leaf that was gold most often in the same category."""
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-    seen: defaultdict[str, Counter[int]] = defaultdict(Counter)
+    category = CodedViews.of(views).category
+    gold = np.array([view.gold for view in views], dtype=np.int64)
+    seen = np.zeros((len(CATEGORIES), max(shape.leaves for shape in SHAPES.values())))
     counted = 0
     for learned, guessed in progressive([view.scene for view in views]):
-        for k in learned[counted:].tolist():
-            seen[views[k].category][views[k].gold] += 1
-        counted = len(learned)
-        for k in guessed.tolist():
-            counts = seen[views[k].category]
-            guesses[k] = max(range(len(views[k].leaves)), key=lambda leaf: (counts[leaf], -leaf))
+        new, counted = learned[counted:], len(learned)
+        np.add.at(seen, (category[new], gold[new]), 1.0)
+        guesses[guessed] = seen.argmax(axis=1)[category[guessed]]
     return guesses
 
 
-def _prior(key: Callable[[Asked], tuple[str, ...]], *, against: bool = False) -> Learner:
+def _prior(key: Key, *, against: bool = False) -> Learner:
     """Return a learner that picks the likeliest leaf, judged by how often statements with the same `key` were true in
     the episodes that it learned from; with `against`, the unlikeliest leaf. If the statements of some scenes are asked
     so that they balance those of the others, the unlikeliest leaf is gold too often.
 
-    `key` maps a condition to the statement that is counted. A condition's position in the tree alone changes how often
-    it is true, so the estimate uses the ratio of observed to expected counts.
+    `key` returns the columns of conditions that state the same. A condition's position in the tree alone changes how
+    often it is true, so the estimate uses the ratio of observed to expected counts.
     """
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-        asked = _Statements.of(views, key)
-        category = np.array([CATEGORIES.index(view.category) for view in views])
+        coded = CodedViews.of(views)
+        category, asked = coded.category, _Counted.of(coded, key)
         seen = np.zeros((asked.different, 4))
         counted = 0
         for learned, guessed in progressive([view.scene for view in views]):
@@ -124,7 +122,7 @@ def _prior(key: Callable[[Asked], tuple[str, ...]], *, against: bool = False) ->
     return learner
 
 
-class _Statements(NamedTuple):
+class _Counted(NamedTuple):
     """The statements of all conditions of some episodes, one after the other.
 
     different : number of different statements; begins : (episodes,) place of each episode's first condition
@@ -138,18 +136,16 @@ class _Statements(NamedTuple):
     share: NDArray[np.float64]
 
     @classmethod
-    def of(cls, views: Sequence[GuesserView], key: Callable[[Asked], tuple[str, ...]]) -> _Statements:
+    def of(cls, views: CodedViews, key: Key) -> _Counted:
         """Return the statements of `views`; `key` says which conditions state the same."""
-        numbers: dict[tuple[str, ...], int] = {}
-        asked = [one for view in views for one in view.asked]
-        statement = np.array([numbers.setdefault(key(one), len(numbers)) for one in asked], dtype=np.int64)
-        return cls(
-            len(numbers),
-            np.cumsum([0, *(len(view.asked) for view in views)], dtype=np.int64),
-            statement,
-            np.array([one.truth for one in asked], dtype=np.int64),
-            np.array([share for view in views for share in _usual_truth(view.category)]),
-        )
+        asked = views.statements
+        statement = dense(combined(*key(asked)))
+        usual = np.zeros((len(CATEGORIES), int(asked.place.max(initial=0)) + 1))
+        for code in np.unique(views.category).tolist():
+            share = _usual_truth(CATEGORIES[code])
+            usual[code, : len(share)] = share
+        shares = usual[views.category[asked.episode], asked.place]
+        return cls(int(statement.max(initial=-1)) + 1, asked.begins, statement, asked.truth, shares)
 
     def add_to(self, seen: NDArray[np.float64], episodes: NDArray[np.int64]) -> None:
         """Add the statements of `episodes` to `seen`, (statements, 4): how often each was false and true, and how often
@@ -182,115 +178,103 @@ def _in_layout(learner: Learner) -> Learner:
 
     def guesser(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-        for layout in sorted({view.layout for view in views} - {""}):
-            mine = np.array([k for k, view in enumerate(views) if view.layout == layout])
-            guesses[mine] = learner([views[k] for k in mine])
+        for mine, own in CodedViews.of(views).layouts:
+            guesses[mine] = learner(own)
         return guesses
 
     return guesser
 
 
-def _regression(words: Words) -> Learner:
-    """Return a learner that fits one multinomial logistic regression per category; the features are what `words` yields
-    for an episode.
+def _regression(*kinds: Kind) -> Learner:
+    """Return a learner that fits one multinomial logistic regression per category; the features are those that `kinds`
+    find in the episodes.
     """
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-        for category in sorted({view.category for view in views}):
-            mine = np.array([k for k, view in enumerate(views) if view.category == category])
+        coded = CodedViews.of(views)
+        features = coded_features(len(views), [found for kind in kinds for found in kind(coded)])
+        for category in np.unique(coded.category).tolist():
+            mine = np.flatnonzero(coded.category == category)
             if len(mine) >= LEAST_EPISODES:
-                guesses[mine] = regressed([views[k] for k in mine], words)
+                guesses[mine] = guessed_from([views[k] for k in mine.tolist()], features[mine])
         return guesses
 
     return learner
 
 
-def _words(view: GuesserView) -> tuple[str, ...]:
-    return _split(view.text)
+def _text_words(views: CodedViews) -> Iterator[Occurrences]:
+    """Yield the words and word pairs of texts. Punctuation counts as a word, so that "; if so" differs from "if so"."""
+    found = views.words
+    yield found.text, found.word
+    yield _pairs(found, found.word)
 
 
-@lru_cache(maxsize=TEXTS_KEPT)
-def _split(text: str) -> tuple[str, ...]:
-    """Return the words of a text in lower case; punctuation counts as a word."""
-    text = text.lower()
-    for mark in ",.;:?":
-        text = text.replace(mark, f" {mark}")
-    return tuple(map(sys.intern, text.split()))
+def _pairs(found: Words, word: Indices) -> Occurrences:
+    """Return the pairs of consecutive words of texts. `word` has a number for each word."""
+    inside = found.text[1:] == found.text[:-1]
+    return found.text[1:][inside], combined(word[:-1], word[1:])[inside]
 
 
-def _text_words(view: GuesserView) -> Iterator[Hashable]:
-    """Yield the words and word pairs of a text. Punctuation counts as a word, so that "; if so" differs from "if
-    so".
+def _cues(views: CodedViews) -> Iterator[Occurrences]:
+    """Yield features of the content: what each condition states and what each leaf names, each with the index of the
+    condition or leaf.
     """
-    found = _words(view)
-    yield from found
-    yield from pairwise(found)
+    asked, leaf = views.statements, views.leaves
+    for stated in (
+        (asked.label,),
+        (asked.label, asked.room),
+        (asked.predicate,),
+        (asked.anchor,),
+        (asked.label, asked.predicate, asked.anchor),
+    ):
+        yield asked.episode, combined(asked.place, *stated)
+    for named in (leaf.goal, leaf.room, leaf.moves):
+        yield leaf.episode, combined(leaf.place, named)
+    yield leaf.episode[leaf.by_leaf], combined(leaf.place[leaf.by_leaf], leaf.by)
 
 
-def _cues(view: GuesserView) -> Iterator[str]:
-    """Yield features of the content: what each condition states and what each leaf names, each prefixed with the index
-    of the condition or leaf.
-    """
-    for k, asked in enumerate(view.asked):
-        yield f"{k} {asked.label}"
-        yield f"{k} {asked.label} in {asked.room}"
-        yield f"{k} is {asked.predicate}"
-        yield f"{k} by {asked.anchor}"
-        yield f"{k} {asked.label} {asked.predicate} {asked.anchor}"
-    for k, leaf in enumerate(view.leaves):
-        yield f"leaf {k} {leaf.labels[-1]}"
-        yield f"leaf {k} in {leaf.room}"
-        yield f"leaf {k} of {len(leaf.labels)} moves"
-        yield from (f"leaf {k} by {label}" for label in leaf.labels[:-1])
-
-
-def _form(view: GuesserView) -> Iterator[Hashable]:
-    """Yield the form of a text without its content: length, words other than nouns, which conditions are definite."""
-    yield f"{len(view.text.split()) // WORDS_A_CLASS} words"
-    for k, asked in enumerate(view.asked):
-        yield f"{k} {'definite' if asked.definite else 'indefinite'} {'relation' if asked.predicate else 'presence'}"
+def _form(views: CodedViews) -> Iterator[Occurrences]:
+    """Yield the form of texts without their content: length, words other than nouns, which conditions are definite."""
+    asked, found = views.statements, views.words
+    yield np.arange(len(views)), views.lengths.words // WORDS_A_CLASS
+    yield asked.episode, combined(asked.place, asked.definite, asked.related)
     content = content_words()
-    words = [word if word not in content else "_" for word in _words(view)]
-    yield from pairwise(words)
+    formal = np.array([name not in content for name in found.names], dtype=np.int64)
+    yield _pairs(found, ((np.arange(len(formal)) + 1) * formal)[found.word])
 
 
-def _voice(view: GuesserView) -> Iterator[str]:
+def _voice(views: CodedViews) -> Iterator[Occurrences]:
     """Yield features of the phrasing: which connecting words a text has, how often, and which three come first."""
-    phrases = _voice_words()
-    said = [*filter(phrases.__contains__, _words(view))]
-    yield from (f"{word} {min(count, MOST_TIMES)} times" for word, count in Counter(said).items())
-    yield f"first {' '.join(said[:3])}"
+    phrases, found = _voice_words(), views.words
+    said = np.array([name in phrases for name in found.names], dtype=np.bool_)[found.word]
+    text, word = found.text[said], found.word[said]
+    counts = csr_matrix((np.ones(len(text)), (text, word)), shape=(len(views), len(found.names)))
+    times = np.minimum(counts.data, MOST_TIMES).astype(np.int64)
+    yield np.repeat(np.arange(len(views)), np.diff(counts.indptr)), combined(counts.indices.astype(np.int64), times)
+    begins = np.searchsorted(text, np.arange(len(views) + 1))
+    padded = np.append(word, [-1] * 3) + 1
+    firsts = [np.where(begins[:-1] + k < begins[1:], padded[begins[:-1] + k], 0) for k in range(3)]
+    yield np.arange(len(views)), combined(*firsts)
 
 
-def _length(view: GuesserView) -> Iterator[str]:
+def _length(views: CodedViews) -> Iterator[Occurrences]:
     """Yield features of the length: word count (coarse and fine), number of sentences, length of the longest
     sentence.
     """
-    sentences = [sentence.split() for sentence in _SENTENCE_END.split(view.text)]
-    count = sum(map(len, sentences))
-    yield f"{count // WORDS_A_CLASS} tens"
-    yield f"{count // 3} threes"
-    yield f"{len(sentences)} sentences"
-    yield f"{max(map(len, sentences)) // 5} fives in the longest"
+    found, episode = views.lengths, np.arange(len(views))
+    for length in (found.words // WORDS_A_CLASS, found.words // 3, found.sentences, found.longest // 5):
+        yield episode, length
 
 
-def _definiteness(view: GuesserView) -> Iterator[str]:
-    """Yield one feature per condition, "definite" or "indefinite", and then one feature that joins these words for all
+def _definiteness(views: CodedViews) -> Iterator[Occurrences]:
+    """Yield one feature per condition, whether it is definite, and then one feature that joins these of all
     conditions.
     """
-    flags = ["definite" if asked.definite else "indefinite" for asked in view.asked]
-    yield from (f"{k} {flag}" for k, flag in enumerate(flags))
-    yield " ".join(flags)
-
-
-def _manner(view: GuesserView) -> Iterator[str]:
-    """Yield features of phrasing, length and definiteness only. Neither a single feature nor all of them together may
-    predict the gold leaf.
-    """
-    yield from _voice(view)
-    yield from _length(view)
-    yield from _definiteness(view)
+    asked = views.statements
+    yield asked.episode, combined(asked.place, asked.definite)
+    joined = np.bincount(asked.episode, weights=(asked.definite + 1.0) * 3.0**asked.place, minlength=len(views))
+    yield np.arange(len(views)), joined.astype(np.int64)
 
 
 @cache
@@ -312,16 +296,16 @@ def content_words() -> frozenset[str]:
     return frozenset(word for noun in nouns for word in noun.lower().split())
 
 
-def _label_and_room(asked: Asked) -> tuple[str, ...]:
+def _label_and_room(asked: Statements) -> tuple[Indices, ...]:
     return asked.label, asked.room
 
 
-def _whole_statement(asked: Asked) -> tuple[str, ...]:
+def _whole_statement(asked: Statements) -> tuple[Indices, ...]:
     return asked.label, asked.room, asked.predicate, asked.anchor
 
 
-def _form_of_statement(asked: Asked) -> tuple[str, ...]:
-    return str(asked.definite), asked.predicate
+def _form_of_statement(asked: Statements) -> tuple[Indices, ...]:
+    return asked.definite, asked.predicate
 
 
 LEARNED: Final[Mapping[str, Learner]] = {
@@ -335,7 +319,8 @@ LEARNED: Final[Mapping[str, Learner]] = {
     "definite or not": _prior(_form_of_statement),
     "against definite or not": _prior(_form_of_statement, against=True),
     "form of the text": _regression(_form),
-    "voice and length": _regression(_manner),
+    # neither one of these features nor all together may predict the gold leaf
+    "voice and length": _regression(_voice, _length, _definiteness),
     "bag of words": _regression(_text_words),
     "words in place": _regression(_cues),
 }

@@ -24,7 +24,18 @@ from condvln.bias.blocks import NO_GUESS, progressive
 from condvln.bias.newton_direction import TOLERANCE, Preconditioner, head_factor, newton_direction
 from condvln.compiled import constant
 
-__all__ = ["Guesses", "Labelled", "fitted_scores", "regressed", "word_features"]
+__all__ = [
+    "Guesses",
+    "Labelled",
+    "Occurrences",
+    "coded_features",
+    "combined",
+    "dense",
+    "fitted_scores",
+    "guessed_from",
+    "regressed",
+    "word_features",
+]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -48,6 +59,8 @@ HALVINGS: Final = 30
 LEAST_DESCENT: Final = 1e-4
 """Least share of the descent that its slope promises for which a step is taken (Armijo's rule)."""
 ROUNDING: Final = 1e-13
+MOST_SPARSE: Final = 64
+"""Largest ratio of the largest of some numbers to their count for which a table is made of them, not a sorted copy."""
 MOST_IN_HEAD: Final = 256
 """Largest number of words, the most frequent ones, whose products are in the preconditioner."""
 
@@ -68,14 +81,25 @@ class Labelled(Protocol):
 
 _Labelled = TypeVar("_Labelled", bound=Labelled)
 
+Occurrences = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Features of one kind: the index of a text and the number of a feature that it has, each in one array."""
+
 
 def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[Hashable]]) -> Guesses:
     """Return the guesses of a multinomial logistic regression that learns from earlier blocks of scenes. Its features
     are the words that `words` yields for each view.
     """
+    return _guesses(views, word_features([words(view) for view in views]))
+
+
+def guessed_from(views: Sequence[_Labelled], features: csr_matrix) -> Guesses:
+    """Return the guesses of :func:`regressed` from the features that :func:`coded_features` returns."""
+    return _guesses(views, _usual(features))
+
+
+def _guesses(views: Sequence[_Labelled], features: csr_matrix) -> Guesses:
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
     gold = np.array([view.gold for view in views], dtype=np.int64)
-    features = word_features([words(view) for view in views])
     fits = []
     for learned, guessed in progressive([view.scene for view in views]):
         if features.shape[1] == 0 or (gold[learned] == gold[learned[0]]).all():
@@ -101,14 +125,46 @@ def word_features(texts: Sequence[Iterable[Hashable]]) -> csr_matrix:
     index: defaultdict[Hashable, int] = defaultdict()
     index.default_factory = index.__len__
     rows = [[*map(index.__getitem__, words)] for words in texts]
-    offsets = np.cumsum([0, *map(len, rows)])
-    columns = np.fromiter(chain.from_iterable(rows), dtype=np.int64, count=int(offsets[-1]))
-    found = csr_matrix((np.ones(len(columns)), columns, offsets), shape=(len(rows), len(index)))
-    found.sum_duplicates()
+    columns = np.array([*chain.from_iterable(rows)], dtype=np.int64)
+    return _usual(coded_features(len(rows), [(np.repeat(np.arange(len(rows)), [*map(len, rows)]), columns)]))
+
+
+def coded_features(texts: int, kinds: Iterable[Occurrences]) -> csr_matrix:
+    """Return the matrix (texts, features) of features of several kinds: 1 where a text has the feature."""
+    rows, columns, width = [], [], 0
+    for row, code in kinds:
+        number = dense(code)
+        rows.append(row)
+        columns.append(number + width)
+        width += int(number.max(initial=-1)) + 1
+    places = (np.concatenate(rows), np.concatenate(columns))
+    found = csr_matrix((np.ones(len(places[0])), places), shape=(texts, width))
     found.data[:] = 1.0
-    counts = np.bincount(found.indices, minlength=len(index))
-    fit = (counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * len(rows))
-    return _columns(found, fit)
+    return found
+
+
+def _usual(features: csr_matrix) -> csr_matrix:
+    """Return `features` without very rare and very common ones."""
+    counts = np.bincount(features.indices, minlength=features.shape[1])
+    return _columns(features, (counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * features.shape[0]))
+
+
+def combined(*codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return one number for each combination of numbers from 0; the arrays are equally long."""
+    found = codes[0]
+    for code in codes[1:]:
+        found = dense(found) * (code.max(initial=0) + 1) + code
+    return found
+
+
+def dense(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return numbers from 0 without gaps, in the order of `codes`, which are not below 0."""
+    most = int(codes.max(initial=0))
+    if most > MOST_SPARSE * (len(codes) + MOST_SPARSE):
+        return np.unique(codes, return_inverse=True)[1].reshape(-1)
+    seen = np.zeros(most + 1, dtype=np.int64)
+    seen[codes] = 1
+    return (np.cumsum(seen) - 1)[codes]
 
 
 def _columns(features: csr_matrix, mask: Bools) -> csr_matrix:

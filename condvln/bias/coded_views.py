@@ -1,0 +1,171 @@
+"""The episodes that a guesser sees as columns of numbers: words of texts, statements of conditions, names of leaves.
+
+Each is computed once for all guessers of a source.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Hashable, Iterable, Sequence
+from functools import cached_property
+from itertools import chain
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from condvln.bias.guesser_view import GuesserView
+from schemas.program import CATEGORIES
+
+__all__ = ["CodedViews", "Indices", "Leaves", "Lengths", "Statements", "Words", "numbered"]
+
+Indices = NDArray[np.int64]
+
+_SENTENCE_END: Final = re.compile(r"(?<=[.?!])\s+")
+
+
+class Words(NamedTuple):
+    """The words of all texts, one text after the other; punctuation counts as a word.
+
+    text : (words,) index of the text; word : (words,) index into `names`
+    """
+
+    names: list[str]
+    text: Indices
+    word: Indices
+
+
+class Lengths(NamedTuple):
+    """Lengths of texts, (texts,) each: words, sentences, and words of the longest sentence."""
+
+    words: Indices
+    sentences: Indices
+    longest: Indices
+
+
+class Statements(NamedTuple):
+    """What all conditions state, one episode after the other, (conditions,) each. Names are numbered.
+
+    episode, place : index of the episode, and of the condition in it
+    begins : (episodes + 1,) index of each episode's first condition
+    related : 1 if it has a predicate, else 0
+    """
+
+    episode: Indices
+    place: Indices
+    begins: Indices
+    label: Indices
+    room: Indices
+    predicate: Indices
+    anchor: Indices
+    related: Indices
+    definite: Indices
+    truth: Indices
+
+
+class Leaves(NamedTuple):
+    """What all leaves name, one episode after the other, (leaves,) each. Names are numbered.
+
+    episode, place : index of the episode, and of the leaf in it
+    by_leaf, by : (stops,) of each stop before a goal, the index of its leaf among all, and its label
+    """
+
+    episode: Indices
+    place: Indices
+    goal: Indices
+    room: Indices
+    moves: Indices
+    by_leaf: Indices
+    by: Indices
+
+
+class CodedViews(list[GuesserView]):
+    """Views of the episodes of a source, which must not be changed, with their columns."""
+
+    @classmethod
+    def of(cls, views: Sequence[GuesserView]) -> CodedViews:
+        """Return `views` with their columns; the same object if they have them already."""
+        return views if isinstance(views, CodedViews) else cls(views)
+
+    @cached_property
+    def category(self) -> Indices:
+        """Index into ``CATEGORIES`` of each episode."""
+        return np.array([CATEGORIES.index(view.category) for view in self], dtype=np.int64)
+
+    @cached_property
+    def layouts(self) -> list[tuple[Indices, CodedViews]]:
+        """The indices of the episodes of each layout, and these episodes."""
+        names = sorted({view.layout for view in self} - {""})
+        found = [np.array([k for k, view in enumerate(self) if view.layout == name], dtype=np.int64) for name in names]
+        return [(mine, CodedViews([self[k] for k in mine.tolist()])) for mine in found]
+
+    @cached_property
+    def words(self) -> Words:
+        """The words of the texts, in lower case."""
+        texts = [_words(view.text) for view in self]
+        word, names = numbered(chain.from_iterable(texts))
+        return Words([*map(str, names)], _repeated([*map(len, texts)])[0], word)
+
+    @cached_property
+    def lengths(self) -> Lengths:
+        """The lengths of the texts."""
+        sentences = [[len(one.split()) for one in _SENTENCE_END.split(view.text)] for view in self]
+        counts = ([sum(one) for one in sentences], [len(one) for one in sentences], [max(one) for one in sentences])
+        return Lengths(*(np.array(one, dtype=np.int64) for one in counts))
+
+    @cached_property
+    def statements(self) -> Statements:
+        """What the conditions state."""
+        asked = [one for view in self for one in view.asked]
+        episode, place, begins = _repeated([len(view.asked) for view in self])
+        return Statements(
+            episode,
+            place,
+            begins,
+            numbered(one.label for one in asked)[0],
+            numbered(one.room for one in asked)[0],
+            numbered(one.predicate for one in asked)[0],
+            numbered(one.anchor for one in asked)[0],
+            np.array([one.predicate != "" for one in asked], dtype=np.int64),
+            np.array([one.definite for one in asked], dtype=np.int64),
+            np.array([one.truth for one in asked], dtype=np.int64),
+        )
+
+    @cached_property
+    def leaves(self) -> Leaves:
+        """What the leaves name."""
+        leaves = [leaf for view in self for leaf in view.leaves]
+        episode, place, _ = _repeated([len(view.leaves) for view in self])
+        moves = [len(leaf.labels) for leaf in leaves]
+        return Leaves(
+            episode,
+            place,
+            numbered(leaf.labels[-1] for leaf in leaves)[0],
+            numbered(leaf.room for leaf in leaves)[0],
+            np.array(moves, dtype=np.int64),
+            _repeated([count - 1 for count in moves])[0],
+            numbered(label for leaf in leaves for label in leaf.labels[:-1])[0],
+        )
+
+
+def numbered(names: Iterable[Hashable]) -> tuple[Indices, list[Hashable]]:
+    """Return the number of each name, in the order in which they are first seen, and the different names."""
+    index: defaultdict[Hashable, int] = defaultdict()
+    index.default_factory = index.__len__
+    return np.fromiter(map(index.__getitem__, names), dtype=np.int64), [*index]
+
+
+def _repeated(sizes: Sequence[int]) -> tuple[Indices, Indices, Indices]:
+    """Return for each part of some wholes the index of its whole and its place in it, and where each whole begins."""
+    begins = np.cumsum([0, *sizes], dtype=np.int64)
+    whole = np.repeat(np.arange(len(sizes)), sizes)
+    return whole, np.arange(len(whole)) - begins[whole], begins
+
+
+def _words(text: str) -> list[str]:
+    """Return the words of a text in lower case; punctuation counts as a word."""
+    text = text.lower()
+    for mark in ",.;:?":
+        text = text.replace(mark, f" {mark}")
+    return text.split()
