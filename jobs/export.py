@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final
+
+import orjson
 
 from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.graph_episodes import GraphEpisodes
@@ -29,7 +31,7 @@ from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
-from schemas.program import Leaf
+from schemas.program import Leaf, ObjectRef
 
 __all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
@@ -237,11 +239,18 @@ def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> No
 
 def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[[Row, Row], str]:
     def text(episode: Row, instruction: Row) -> str:
-        leaf = Leaf.model_validate(instruction["leaves"][episode["gold_leaf"]])
+        named = instruction["leaves"][episode["gold_leaf"]]["moves"]
+        leaf = Leaf(moves=tuple([_move(orjson.dumps(move)) for move in named]))
         heading = episode["start_heading_degrees"]
         return text_of_moves(leaf.moves, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
 
     return text
+
+
+@lru_cache(maxsize=4096)
+def _move(document: bytes) -> ObjectRef:
+    """Return a validated move. Many instructions of a scene lead to the same few objects."""
+    return ObjectRef.model_validate_json(document)
 
 
 def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:

@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-import orjson
-
 from condvln.export.rows import Row
 from condvln.export.vlnce import encode, gold
 
@@ -24,7 +22,7 @@ __all__ = [
     "kept_texts",
     "oracle_episode",
     "oracle_text_of",
-    "rxr_episode",
+    "rxr_instruction",
     "subgoals",
 ]
 
@@ -43,22 +41,19 @@ RXR_LANGUAGES: Final = {"en": "en-US", "es": "es-ES"}
 """RxR's name of a language."""
 
 
-def rxr_episode(stock: dict[str, Any], row: Row, split: str, language: str = "en") -> dict[str, Any]:
-    """Return the RxR guide episode made from a stock episode: the text under RxR's keys, without tokens (agents use
-    their own encoder).
+def rxr_instruction(row: Row, split: str, language: str = "en") -> dict[str, Any]:
+    """Return the instruction of an RxR guide episode: the text under RxR's keys, without tokens (agents use their own
+    encoder).
     """
     return {
-        **stock,
-        "instruction": {
-            "instruction_id": str(row["episode_id"]),
-            "instruction_text": row["instruction_text"],
-            "language": RXR_LANGUAGES[language],
-            "annotator_id": "0",
-            "edit_distance": 0.0,
-            "timed_instruction": [],
-            "instruction_tokens": [],
-            "split": split,
-        },
+        "instruction_id": str(row["episode_id"]),
+        "instruction_text": row["instruction_text"],
+        "language": RXR_LANGUAGES[language],
+        "annotator_id": "0",
+        "edit_distance": 0.0,
+        "timed_instruction": [],
+        "instruction_tokens": [],
+        "split": split,
     }
 
 
@@ -107,6 +102,6 @@ def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:
     return texts(episode, instruction) if callable(texts) else texts[episode["episode_id"]]
 
 
-def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int] | orjson.Fragment) -> dict[str, Any]:
+def oracle_episode(stock: dict[str, Any], text: str, tokens: list[int]) -> dict[str, Any]:
     """Return the oracle-linear twin of a stock episode."""
     return {**stock, "instruction": {**stock["instruction"], "instruction_text": text, "instruction_tokens": tokens}}

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import orjson
 
@@ -27,10 +27,12 @@ __all__ = [
     "FORWARD",
     "SCENE_PATTERNS",
     "DocumentWriter",
+    "EncodedEpisode",
     "document_writer",
     "encode",
     "gold",
     "ground_truth",
+    "instruction_json",
     "scene_file",
     "truth_writer",
     "vlnce_episode",
@@ -59,7 +61,7 @@ def gold(row: Row) -> Row:
     return leaf
 
 
-def vlnce_episode(row: Row, scene_id: str, tokens: list[int] | orjson.Fragment) -> dict[str, Any]:
+def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
     """Return the stock episode of a row of the episodes table.
 
     The goals are all goal points of the gold leaf, the nearest to the start first: evaluators take the minimum over
@@ -78,6 +80,34 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int] | orjson.Fragment) 
         "instruction": {"instruction_text": row["instruction_text"], "instruction_tokens": tokens},
         "reference_path": leaf["reference_path"],
     }
+
+
+class EncodedEpisode(NamedTuple):
+    """The JSON of an episode before and after the value of ``instruction``, which is all that its variants differ
+    in.
+    """
+
+    head: bytes
+    tail: bytes
+
+    @classmethod
+    def of(cls, row: Row, scene_id: str) -> EncodedEpisode:
+        """Return the JSON of the stock episode of a row of the episodes table."""
+        episode = vlnce_episode(row, scene_id, [])
+        keys = [*episode]
+        at = keys.index("instruction")
+        head = encode({key: episode[key] for key in keys[:at]})
+        tail = encode({key: episode[key] for key in keys[at + 1 :]})
+        return cls(head[:-1] + b',"instruction":', b"," + tail[1:])
+
+    def with_instruction(self, instruction: bytes) -> bytes:
+        """Return the JSON of the whole episode; `instruction` is JSON too."""
+        return self.head + instruction + self.tail
+
+
+def instruction_json(text: bytes, tokens: bytes) -> bytes:
+    """Return the JSON of a stock episode's instruction from that of its parts."""
+    return b'{"instruction_text":' + text + b',"instruction_tokens":' + tokens + b"}"
 
 
 def _info(row: Row, leaf: Row) -> dict[str, Any]:

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-import orjson
-
 from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.place_graphs import PLACES, Places
 from condvln.export.r2r import Graphs, r2r_episode
@@ -20,15 +18,16 @@ from condvln.export.rows import Row
 from condvln.export.scene_table import SceneTable
 from condvln.export.splits import SPLITS
 from condvln.export.tokens import Vocabulary
-from condvln.export.variants import OracleText, ansr_bytes, oracle_episode, oracle_text_of, rxr_episode
+from condvln.export.variants import OracleText, ansr_bytes, oracle_text_of, rxr_instruction
 from condvln.export.vlnce import (
     DocumentWriter,
+    EncodedEpisode,
     document_writer,
     encode,
     ground_truth,
+    instruction_json,
     scene_file,
     truth_writer,
-    vlnce_episode,
 )
 from condvln.formats.streams import ByteStream, JsonArrayStream, atomic_copy, atomic_stream
 from condvln.manifest import manifest_path, manifest_row
@@ -96,6 +95,7 @@ class ExportWriter:
         self._r2r_left_out: Counter[str] = Counter()
         self._shards: set[str] = set()
         self._places = Places()
+        self._shapes: dict[tuple[str, tuple[Any, ...]], int] = {}
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -105,6 +105,7 @@ class ExportWriter:
             yield
         for stream in self._streams:
             self._note(stream)
+        self._report_shapes()
         self._copy_truths()
         with atomic_stream(self._out / PLACES) as stream:
             stream.write(self._places.pickled())
@@ -141,18 +142,19 @@ class ExportWriter:
 
     def add_scene(self, source: str, scene: str, rows: list[tuple[int, Row, Row]]) -> None:
         """Write the selected episodes of one scene, given as (split code, row of episodes, row of instructions)."""
+        scene_id = scene_file(source, scene, self._layout.scene_patterns)
+        path, shipped = self._scenes.navmesh_path(source, scene)
         for code in sorted({code for code, _, _ in rows}):
             files = self._splits[code]
             self._report.scenes[files.name].append(f"{source}/{scene}")
             mine = [(row, instruction) for at, row, instruction in rows if at == code]
             self._report.episodes[files.name] += len(mine)
+            names = {"source": source, "split": files.name, "navmesh": path, "snapshot": self._layout.snapshot}
             with self._documents(files, source, scene) as documents:
                 for row, instruction in mine:
-                    self._add(files, documents, source, row, instruction)
+                    self._add(files, documents, scene_id, names, row, instruction)
         graph = (self._graphs or {}).get(scene) if source == _MP3D else None
-        scene_id = scene_file(source, scene, self._layout.scene_patterns)
         self._places.add(scene_id, (row for _, row, _ in rows), None if graph is None else graph.graph)
-        path, shipped = self._scenes.navmesh_path(source, scene)
         if rows and shipped:
             with atomic_stream(self._out / path) as stream:
                 stream.write(self._scenes.navmesh(source, scene) or b"")
@@ -184,31 +186,36 @@ class ExportWriter:
         return self._out / name
 
     def _add(
-        self, files: _SplitFiles, documents: dict[str, DocumentWriter], source: str, row: Row, instruction: Row
+        self,
+        files: _SplitFiles,
+        documents: dict[str, DocumentWriter],
+        scene_id: str,
+        names: dict[str, str],
+        row: Row,
+        instruction: Row,
     ) -> None:
+        """Write one episode to all files of its split; `names` are those of its row in the manifest."""
         text, length = row["instruction_text"], self._layout.token_length
         tokens, count = self._vocabulary.padded_json(text, length)
         self._report.texts_cut += count > length
-        scene = scene_file(source, row["scene_id"], self._layout.scene_patterns)
-        stock = vlnce_episode(row, scene, orjson.Fragment(tokens))
-        encoded = encode(stock)
-        documents["vlnce"].add(encoded)
-        documents["ansr"].add(ansr_bytes(encoded, row))
-        documents["rxr"].add(encode(rxr_episode(stock, row, files.name, self._report.language)))
+        episode = EncodedEpisode.of(row, scene_id)
+        stock = episode.with_instruction(instruction_json(encode(text), tokens))
+        documents["vlnce"].add(stock)
+        documents["ansr"].add(ansr_bytes(stock, row))
+        guide = rxr_instruction(row, files.name, self._report.language)
+        documents["rxr"].add(episode.with_instruction(encode(guide)))
         if self._oracle_texts is not None:
             linear = oracle_text_of(self._oracle_texts, row, instruction)
-            twin = oracle_episode(stock, linear, orjson.Fragment(self._vocabulary.padded_json(linear, length)[0]))
-            documents["oracle"].add(encode(twin))
+            tokens = self._vocabulary.padded_json(linear, length)[0]
+            documents["oracle"].add(episode.with_instruction(instruction_json(encode(linear), tokens)))
         truth = encode(ground_truth(row))
         files.truth.add(encode(str(row["episode_id"])) + b":" + truth)
-        navmesh, _ = self._scenes.navmesh_path(source, row["scene_id"])
-        names = {"source": source, "split": files.name, "navmesh": navmesh, "snapshot": self._layout.snapshot}
         told = manifest_row(row, instruction, **names)
         files.manifest.write(encode(told) + b"\n")
         if self._show is not None:
             self._show(told)
-        self._note_shape(source, row, files.name)
-        if self._graphs and source == _MP3D:
+        self._note_shape(names["source"], row, files.name)
+        if self._graphs and names["source"] == _MP3D:
             self._add_r2r(files, row, instruction)
 
     def _add_r2r(self, files: _SplitFiles, row: Row, instruction: Row) -> None:
@@ -228,25 +235,45 @@ class ExportWriter:
         self._report.r2r_episodes += 1
 
     def _note_shape(self, source: str, row: Row, split: str) -> None:
-        shape = self._report.shapes.setdefault(split, {})
-        for key, value in (
-            ("source", source),
-            ("category", row["category"]),
-            ("composition", row["composition"]),
-            ("depth", SHAPES[row["category"]].depth),
-            ("chain", SHAPES[row["category"]].chain),
-            ("observability", observability_class(row["observability"], row["evidence_in_view"]) or "not told"),
-            ("moves", row["moves"]),
-            ("route", route_class(row["route_length"])),
-            ("words", words_class(row["words"])),
-            ("success_distance", row["success_distance"]),
-        ):
-            counts = shape.setdefault(key, {})
-            counts[str(value)] = counts.get(str(value), 0) + 1
+        category = row["category"]
+        key = (
+            source,
+            category,
+            row["composition"],
+            row["observability"],
+            row["evidence_in_view"],
+            row["moves"],
+            route_class(row["route_length"]),
+            words_class(row["words"]),
+            row["success_distance"],
+        )
+        self._shapes[split, key] = self._shapes.get((split, key), 0) + 1
         example = (row["episode_id"], row["instruction_text"])
-        self._report.examples[row["category"]] = min(self._report.examples.get(row["category"], example), example)
+        self._report.examples[category] = min(self._report.examples.get(category, example), example)
         self._report.most_steps = max(self._report.most_steps, row["max_steps"])
         self._report.least_steps = min(self._report.least_steps or row["max_steps"], row["max_steps"])
+
+    def _report_shapes(self) -> None:
+        """Report how many episodes of each split are of each source, category and class, in the order in which they
+        were first written.
+        """
+        for (split, key), number in self._shapes.items():
+            source, category, composition, observability, in_view, moves, route, words, distance = key
+            shape = self._report.shapes.setdefault(split, {})
+            for name, value in (
+                ("source", source),
+                ("category", category),
+                ("composition", composition),
+                ("depth", SHAPES[category].depth),
+                ("chain", SHAPES[category].chain),
+                ("observability", observability_class(observability, in_view) or "not told"),
+                ("moves", moves),
+                ("route", route),
+                ("words", words),
+                ("success_distance", distance),
+            ):
+                counts = shape.setdefault(name, {})
+                counts[str(value)] = counts.get(str(value), 0) + number
 
     def _copy_truths(self) -> None:
         for split in SPLITS:
