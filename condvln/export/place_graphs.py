@@ -17,6 +17,7 @@ import io
 import math
 import pickle
 from collections.abc import Iterable, Mapping
+from itertools import chain
 from typing import Any, Final
 
 import networkx as nx
@@ -99,12 +100,15 @@ def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64],
     if not routes:
         return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
     ends = np.cumsum([0, *map(len, routes)])
-    dense, ends = densify_many(np.concatenate(routes, dtype=np.float64), ends, PATH_SPACING)
-    # Adding 0 makes 0 of −0, which is equal to it and has other bytes.
-    points, route = dense.round(3) + 0.0, np.repeat(np.arange(len(routes)), np.diff(ends))
-    cell = _numbered(np.floor(points / _CELL).astype(np.int64))[1]
-    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], cell))
-    firsts = order[np.searchsorted(cell[order], np.arange(cell.max() + 1))]
+    flat = np.fromiter(chain.from_iterable(chain.from_iterable(routes)), dtype=np.float64, count=3 * int(ends[-1]))
+    dense, ends = densify_many(flat.reshape(-1, 3), ends, PATH_SPACING)
+    route = np.repeat(np.arange(len(routes)), np.diff(ends))
+    # Points in ascending order, each once: the first one in a cell is the least.
+    millimetres = np.rint(dense * 1000.0).astype(np.int64)
+    once, place = _numbered(millimetres)
+    points = millimetres[once] / 1000.0
+    firsts, cell = _numbered(np.floor(points / _CELL).astype(np.int64))
+    cell = cell[place]
     crossing = (cell[1:] != cell[:-1]) & (route[1:] == route[:-1])
     pairs = np.sort(np.stack([cell[:-1][crossing], cell[1:][crossing]], axis=1), axis=1)
     return [f"p{k}" for k in range(len(firsts))], points[firsts], pairs[_numbered(pairs)[0]]
