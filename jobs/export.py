@@ -31,7 +31,7 @@ from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
-from schemas.program import Leaf, ObjectRef
+from schemas.program import ObjectRef
 
 __all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
@@ -240,9 +240,9 @@ def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> No
 def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[[Row, Row], str]:
     def text(episode: Row, instruction: Row) -> str:
         named = instruction["leaves"][episode["gold_leaf"]]["moves"]
-        leaf = Leaf(moves=tuple([_move(orjson.dumps(move)) for move in named]))
+        moves = tuple([_move(orjson.dumps(move)) for move in named])
         heading = episode["start_heading_degrees"]
-        return text_of_moves(leaf.moves, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
+        return text_of_moves(moves, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
 
     return text
 

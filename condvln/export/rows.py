@@ -84,7 +84,7 @@ def _structs(array: pa.StructArray) -> list[Any]:
         stacked = np.stack([field.to_numpy(zero_copy_only=False) for field in fields], axis=1)
         points: list[Any] = stacked.tolist()
         return points
-    if all(pa.types.is_string(field.type) for field in fields):
+    if fields and all(pa.types.is_string(field.type) for field in fields):
         number, most = np.zeros(len(array), dtype=np.int64), 1
         for field in fields:
             own, texts = _numbered(field)

@@ -268,6 +268,7 @@ class _Picker:
         self._n_leaves = int(pool.n_leaves[block[0]])
         self._single = block[~pool.grouped[block]]
         self._room = [quota] * self._n_leaves
+        self._terms_of = _terms_of(pool, block)
 
     def pick(self) -> npt.NDArray[np.int64]:
         """Return the selected episodes: whole counterfactual groups first, then single episodes up to the quota."""
@@ -337,17 +338,24 @@ class _Picker:
         return queue.window.pop(tilts.index(min(tilts)))[0]
 
     def _terms(self, rows: list[int]) -> Terms:
-        pool = self._pool
-        terms: Terms = []
-        for row in rows:
-            span = slice(int(pool.offsets[row]), int(pool.offsets[row + 1]))
-            signs = np.where(pool.truths[span], 1, -1).tolist()
-            terms += zip(pool.conditions[span].tolist(), signs, strict=True)
-        return terms
+        if len(rows) == 1:
+            return self._terms_of[rows[0]]
+        return [term for row in rows for term in self._terms_of[row]]
 
     def _count(self, terms: Terms) -> None:
         for kind, sign in terms:
             self._balance[kind] += sign
+
+
+def _terms_of(pool: ExportPool, rows: npt.NDArray[np.int64]) -> dict[int, Terms]:
+    """Return the terms of each of `rows`."""
+    sizes = pool.offsets[rows + 1] - pool.offsets[rows]
+    ends = np.cumsum(sizes)
+    places = np.arange(ends[-1]) + np.repeat(pool.offsets[rows] - (ends - sizes), sizes)
+    signs = np.where(pool.truths[places], 1, -1)
+    terms = [*zip(pool.conditions[places].tolist(), signs.tolist(), strict=True)]
+    bounds = zip(rows.tolist(), (ends - sizes).tolist(), ends.tolist(), strict=True)
+    return {row: terms[begin:end] for row, begin, end in bounds}
 
 
 @dataclass

@@ -83,9 +83,13 @@ def _allowed(said: WordingConfig) -> tuple[tuple[Voice, ...], tuple[float, ...]]
     return voices, tuple(accumulate(voice.weight for voice in voices))
 
 
-@lru_cache
 def _wording(wording: WordingConfig | str) -> WordingConfig:
-    return WordingConfig.model_validate({"language": wording}) if isinstance(wording, str) else wording
+    return _all_voices(wording) if isinstance(wording, str) else wording
+
+
+@lru_cache
+def _all_voices(code: str) -> WordingConfig:
+    return WordingConfig.model_validate({"language": code})
 
 
 def preamble(heading_degrees: float, voice: Voice, code: str = "en") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any
 
 import pyarrow as pa
@@ -41,3 +42,20 @@ def test_nulls_at_every_depth() -> None:
         {"p": None, "l": [1], "s": {"a": None}},
         {"p": [1.0, 2.0, 3.0], "l": None, "s": None},
     ]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
+@pytest.mark.parametrize("kinds", [1, 3, 400])
+def test_structs_of_texts_are_as_pyarrow_says(count: int, kinds: int) -> None:
+    """Whether many of them are equal or all differ, with texts and structs that are null."""
+    draws = Random(count * kinds)
+    names = [f"t{k}" for k in range(count)]
+    kind = pa.struct([(name, pa.string()) for name in names])
+
+    def one() -> dict[str, str | None]:
+        return {name: draws.choice([None, "", *(f"é{k}" for k in range(kinds))]) for name in names}
+
+    values = [[one() if draws.random() < 0.9 else None for _ in range(draws.randrange(4))] for _ in range(300)]
+    table = pa.table({"s": pa.array(values, pa.list_(kind))})
+    assert rows_of(table) == table.to_pylist()
+    assert rows_of(table.slice(100, 50)) == table.slice(100, 50).to_pylist()
