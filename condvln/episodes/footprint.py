@@ -7,15 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from condvln.scene import OrientedBox, SceneObject
+from condvln.scene import OrientedBox, Scene, SceneObject
 from schemas.config.constants import UPRIGHT_COSINE
 
-__all__ = ["Footprint", "Footprints"]
+__all__ = ["Footprint", "Footprints", "footprint_of"]
 
 F64 = NDArray[np.float64]
 
@@ -24,6 +25,9 @@ ROUNDING: Final = 1e-6
 
 
 CORNERS: Final = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+
+_SIDES: Final = ((1, 2), (0, 2), (0, 1))
+"""The axes of a box that are level if the axis of this number is upright."""
 
 
 @lru_cache(maxsize=64)
@@ -81,14 +85,18 @@ class Footprint:
     @classmethod
     def _upright(cls, box: OrientedBox) -> Footprint | None:
         """Return the rectangle below an upright box; None if the box is tilted."""
-        vertical = np.abs(box.rotation[1])
-        up = int(np.argmax(vertical))
+        # Plain numbers: there are thousands of boxes, each too small for arrays.
+        x, y, z = box.rotation.tolist()
+        vertical = [abs(value) for value in y]
+        up = vertical.index(max(vertical))
         if vertical[up] < UPRIGHT_COSINE:
             return None
-        sides = [k for k in range(3) if k != up]
-        axes = box.rotation[np.ix_([0, 2], sides)].T
-        axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-        return cls(box.center[[0, 2]], box.half_extents[sides], axes)
+        one, other = _SIDES[up]
+        a, b, c, d = x[one], z[one], x[other], z[other]
+        first, second = math.sqrt(a * a + b * b), math.sqrt(c * c + d * d)
+        axes = np.array([[a / first, c / second], [b / first, d / second]]).T
+        half = box.half_extents.tolist()
+        return cls(box.center[[0, 2]], np.array([half[one], half[other]]), axes)
 
     @property
     def half_perimeter(self) -> float:
@@ -143,6 +151,18 @@ class Footprint:
         """
         crossed: NDArray[np.bool_] = Footprints([self]).crossings(starts, ends)[0]
         return crossed
+
+
+_KNOWN: Final[WeakKeyDictionary[Scene, dict[str, Footprint | None]]] = WeakKeyDictionary()
+"""Footprints of the scenes in use, by object id."""
+
+
+def footprint_of(scene: Scene, item: SceneObject) -> Footprint | None:
+    """Return the footprint of an object of `scene` as `Footprint.of` does, found once for all stages."""
+    known = _KNOWN.setdefault(scene, {})
+    if item.object_id not in known:
+        known[item.object_id] = Footprint.of(item)
+    return known[item.object_id]
 
 
 class Footprints:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
-from condvln.episodes.footprint import Footprint
+from condvln.episodes.footprint import Footprint, footprint_of
 from condvln.episodes.kernels.spread import farthest_points
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
@@ -43,6 +43,13 @@ TRIED_AT_ONCE: Final = 100_000
 
 _WIDE: Final[WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[int, ...]]]] = WeakKeyDictionary()
 """Wide islands of each pathfinder in use, by the least radius."""
+
+_BLOCKED: Final[
+    WeakKeyDictionary[
+        Scene, WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[tuple[SceneObject, Footprint], ...]]]
+    ]
+] = WeakKeyDictionary()
+"""What `blocked_footprints` found in each scene in use, by pathfinder and climb: three stages ask the same."""
 
 
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
@@ -81,32 +88,47 @@ def blocked_footprints(
     the navmesh takes into account leaves a hole there (or is walkable on top). Flat objects that an agent
     steps over do not count.
     """
-    found = []
+    known = _BLOCKED.setdefault(scene, WeakKeyDictionary()).setdefault(pathfinder, {})
+    found = known.get(max_climb)
+    if found is None:
+        found = known[max_climb] = _blocked(scene, pathfinder, max_climb)
+    return list(found)
+
+
+def _blocked(
+    scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
+) -> tuple[tuple[SceneObject, Footprint], ...]:
+    low = list[tuple[SceneObject, Footprint]]()
+    bottoms, unsure = list[float](), list[bool]()
     for item in scene.objects:
         room = scene.room_of.get(item.room_id)
-        box = Footprint.of(item)
-        if item.aabb is None or box is None or room is None:
+        if item.aabb is None or room is None:
             continue
-        bottom, top = item.aabb[0][1], item.aabb[1][1]
-        base = max(room.floor_y, bottom) if room.annotation == "scene" else room.floor_y
+        (_, bottom, _), (_, top, _) = item.aabb.tolist()
+        storeyless = room.annotation == "scene"
+        base = max(room.floor_y, bottom) if storeyless else room.floor_y
         if bottom - base >= FLOOR_STANDING or top - base <= max_climb:
             continue
-        if room.annotation == "scene" and not _stands_low(item, pathfinder):
-            continue
-        below = np.array([[box.center[0], bottom, box.center[1]]])
-        snapped = pathfinder.snap_points(below)
-        on_floor = np.hypot(*(snapped - below)[0, [0, 2]]) <= SNAP_TOLERANCE and abs(snapped[0, 1] - bottom) < SINK
-        if on_floor:
-            found.append((item, box))
-    return found
-
-
-def _stands_low(item: SceneObject, pathfinder: PathfinderProtocol) -> bool:
-    """Return whether an object stands on the floor: its bottom is less than FLOOR_STANDING above the nearest floor."""
-    assert item.aabb is not None
-    bottom = np.array([[item.center[0], item.aabb[0][1], item.center[2]]])
-    snapped = pathfinder.snap_points(bottom)
-    return bool(np.isfinite(snapped).all() and item.aabb[0][1] - snapped[0, 1] < FLOOR_STANDING)
+        box = footprint_of(scene, item)
+        if box is not None:
+            low.append((item, box))
+            bottoms.append(bottom)
+            unsure.append(storeyless)
+    if not low:
+        return ()
+    height = np.array(bottoms)
+    below = np.insert(np.array([box.center for _, box in low]), 1, height, axis=1)
+    snapped = pathfinder.snap_points(below)
+    blocked = np.hypot(*(snapped - below)[:, [0, 2]].T) <= SNAP_TOLERANCE
+    blocked &= np.abs(snapped[:, 1] - height) < SINK
+    # Without a room to give the storey, an object must be less than FLOOR_STANDING above the floor nearest to it.
+    asked = np.flatnonzero(blocked & np.array(unsure))
+    if len(asked):
+        feet = np.array([low[k][0].center for k in asked])
+        feet[:, 1] = height[asked]
+        floor = pathfinder.snap_points(feet)
+        blocked[asked] = np.isfinite(floor).all(axis=1) & (height[asked] - floor[:, 1] < FLOOR_STANDING)
+    return tuple(low[k] for k in np.flatnonzero(blocked))
 
 
 def scene_goals(
@@ -126,7 +148,7 @@ def scene_goals(
     for object_id, item in sorted(scene.object_of.items()):
         room = scene.room_of.get(item.room_id)
         if room is not None and (named is None or object_id in named):
-            around[object_id] = _Around.of(item, room)
+            around[object_id] = _Around.of(item, room, footprint_of(scene, item))
     batches = _batches(list(around.values()), rules)
     found = [x for batch in batches for x in _goal_points(batch, pathfinder, places, rules, obstacles, view)]
     return {object_id: points for object_id, points in zip(around, found, strict=True) if len(points)}
@@ -148,7 +170,7 @@ def goal_points(
     table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at
     most half the box's perimeter plus WALL_DETOUR, or plus FURNITURE_DETOUR where walls limit what is visible.
     """
-    return _goal_points([_Around.of(item, room)], pathfinder, places, rules, obstacles, view)[0]
+    return _goal_points([_Around.of(item, room, Footprint.of(item))], pathfinder, places, rules, obstacles, view)[0]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -161,8 +183,7 @@ class _Around:
     bottom: float
 
     @classmethod
-    def of(cls, item: SceneObject, room: Room) -> _Around:
-        box = Footprint.of(item)
+    def of(cls, item: SceneObject, room: Room, box: Footprint | None) -> _Around:
         if box is None:
             box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
         bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
@@ -207,9 +228,12 @@ def _goal_points(
     left = list(range(len(around)))
     for offsets, reach in ((near_rings(rules), rules.reach), (far_rings(rules), rules.reach_at_most)):
         asked = [around[k] for k in left]
-        for k, points in zip(left, _standing_places(asked, offsets, reach, pathfinder, places, obstacles), strict=True):
+        found = _standing_places(asked, offsets, reach, pathfinder, places, obstacles)
+        if view is not None:
+            masks = _seeing(found, asked, view, places)
+            found = [points[mask] for points, mask in zip(found, masks, strict=True)]
+        for k, seen in zip(left, found, strict=True):
             one = around[k]
-            seen = points if view is None else points[_seeing(points, one.item, view, places)]
             if len(seen):
                 ordered = seen[np.lexsort((seen[:, 2], seen[:, 0], one.box.distance(seen)))]
                 chosen[k] = _spread(ordered, one.box, rules.points, pathfinder, one.box.half_perimeter + detour)
@@ -290,13 +314,17 @@ def _distinct(owner: NDArray[np.intp], points: F64) -> tuple[NDArray[np.intp], F
     return whose[fresh], np.asarray(ordered[fresh], dtype=np.float64)
 
 
-def _seeing(points: F64, item: SceneObject, view: SceneView, places: PlacesConfig) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the `points` (n, 3) from which some part of the object is visible."""
-    seen = np.zeros(len(points), dtype=bool)
+def _seeing(
+    found: Sequence[F64], around: Sequence[_Around], view: SceneView, places: PlacesConfig
+) -> list[NDArray[np.bool_]]:
+    """Return for each object a mask (n,) of its points (n, 3) in `found` from which some part of it is visible."""
+    seen = [np.zeros(len(points), dtype=bool) for points in found]
+    names, reach = [one.item.object_id for one in around], View(range=places.sight_range)
     for height in (places.eye_height, LOW_EYE):
-        left = np.flatnonzero(~seen)
-        if len(left):
-            seen[left] = view.glimpsed(eyes_at(points[left], height), item.object_id, View(range=places.sight_range))
+        left = [np.flatnonzero(~mask) for mask in seen]
+        eyes = [eyes_at(points[rows], height) for points, rows in zip(found, left, strict=True)]
+        for mask, rows, more in zip(seen, left, view.glimpsed_each(eyes, names, reach), strict=True):
+            mask[rows] = more
     return seen
 
 

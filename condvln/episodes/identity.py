@@ -30,7 +30,7 @@ ID, HASH = "episode_id", "episode_hash"
 
 def content_hash(scene_id: str, instruction_id: str, start: NDArray[np.float64], yaw: float) -> str:
     """Return the hash of an episode's content: scene, instruction, and start pose (metres, radians)."""
-    pose = ",".join(f"{value:.3f}" for value in start) + f",{yaw:.6f}"
+    pose = ",".join(f"{value:.3f}" for value in start.tolist()) + f",{yaw:.6f}"
     return hashlib.sha256("\x1f".join([scene_id, instruction_id, pose]).encode()).hexdigest()[:HASH_DIGITS]
 
 

@@ -164,16 +164,26 @@ class SceneView:
         yield from zip(by_eye.T, np.split(by_point, np.cumsum(sizes)[:-1]), strict=True)
 
     def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
-        """Return a mask (n,) of the `eyes` (n, 3) from which any sample point of an object is visible.
+        """Return a mask (n,) of the `eyes` (n, 3) from which any sample point of an object is visible."""
+        return self.glimpsed_each([eyes], [object_id], view)[0]
+
+    def glimpsed_each(self, eyes: Sequence[F64], object_ids: Sequence[str], view: View) -> list[Bools]:
+        """Return for each object a mask (n,) of its own eyes (n, 3) from which any of its sample points is visible, in
+        any direction.
 
         A few samples are tested first, since they decide most cases.
         """
-        target = self.target(object_id)
-        seen = np.zeros(len(eyes), dtype=bool)
-        for part in (SightTarget(target.samples[::FIRST_LOOKS], target.owners[::FIRST_LOOKS]), target):
-            left = np.flatnonzero(~seen)
-            if len(left):
-                seen[left] = self.seen(eyes[left], part, view).any(axis=1)
+        seen = [np.zeros(len(places), dtype=bool) for places in eyes]
+        for stride in (FIRST_LOOKS, 1):
+            asked = [(mask, rows) for mask in seen if len(rows := np.flatnonzero(~mask))]
+            looks = list[Look]()
+            for places, name, mask in zip(eyes, object_ids, seen, strict=True):
+                if not mask.all():
+                    target = self.target(name)
+                    part = SightTarget(target.samples[::stride], target.owners[::stride])
+                    looks.append(Look(places[~mask], part, view))
+            for (mask, rows), found in zip(asked, self.seen_by_each(looks), strict=True):
+                mask[rows] = found.any(axis=1)
         return seen
 
 
