@@ -7,7 +7,7 @@ can be seen at all, and the anchor. Only conditions on the gold path count, sinc
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,10 +20,10 @@ from condvln.episodes.goals import wide_islands
 from condvln.episodes.kernels.prefix import shared_beginning, spaced_points
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
-from condvln.instructions.referents import things_meant
+from condvln.instructions.referents import things_meant_by
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.navigation.sight import Look, SightTarget, View, eyes_at, in_view
+from condvln.navigation.sight import Look, SightTarget, View, eyes_at, lines_in_view
 from condvln.scene import Scene, SceneObject
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.config import EpisodeConfig, PlacesConfig
@@ -37,6 +37,8 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 FIRST_VIEW: Final = "O0f"
 """The name by which a cell asks for O0 with all evidence in the first view."""
+NEEDS_AT_ONCE: Final = 2048
+"""Targets in first views that are tested together, of some hundred sample points each: tens of megabytes."""
 LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
 """Levels in order: from visible at the start to visible only with a detour."""
 
@@ -112,11 +114,12 @@ class Observer:
         }
         self._front = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
         self._targets: dict[SightNeed, SightTarget | None] = {}
-        self._seen: dict[SightNeed, dict[bytes, Bools]] = {}
+        self._seen: dict[SightNeed, _Seen] = {}
         self._evidence: dict[int, _Evidence] = {}
 
     def observe(self, placed: Sequence[tuple[Program, Outlook]]) -> list[Observation]:
         """Return the observation of each placed program, in order."""
+        self._find_things(program.conditions[k] for program, _ in placed for k in set(program.route()[0]))
         asked = [
             [(k, self._evidence_of(program.conditions[k])) for k in sorted(set(program.route()[0]))]
             for program, _ in placed
@@ -136,12 +139,22 @@ class Observer:
             if not seen
             for name in of.all
         )
+        ahead = self._ahead(
+            (name, eye, outlook.yaw)
+            for (_, outlook), needs, known, eye in zip(placed, asked, at_start, starts, strict=True)
+            for (_, of), seen in zip(needs, known, strict=True)
+            if seen
+            for name in of.all
+        )
         found = []
         for (_, outlook), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
             evidence = []
             for (k, of), seen in zip(needs, known, strict=True):
                 level: Observability = "O0" if seen else "O1" if self._known(of.ways, path) else "O2"
-                evidence.append(ConditionEvidence(k, level, seen and self._known(of.ways, eye, outlook.yaw)))
+                in_view = seen and any(
+                    all((name, eye.keys[0], outlook.yaw) in ahead for name in way) for way in of.ways
+                )
+                evidence.append(ConditionEvidence(k, level, in_view))
             found.append(Observation(tuple(evidence), self._view.approximate))
         return found
 
@@ -172,12 +185,23 @@ class Observer:
         there = [("object", name) for name in self._meant(room, condition.label)]
         return (frozenset({*there, *anchor}), *whole) if there else whole
 
+    def _find_things(self, conditions: Iterable[Condition]) -> None:
+        """Find what `_meant` returns for conditions, all labels of a room together."""
+        new: dict[str, dict[str, None]] = {}
+        for condition in conditions:
+            room = condition.room.room_id
+            if not condition.truth and condition.qualifier is not None and (room, condition.label) not in self._things:
+                new.setdefault(room, {})[condition.label] = None
+        for room, labels in new.items():
+            found = things_meant_by(self._scene, room, tuple(labels), self._words, self._sightings)
+            self._things.update(((room, label), names) for label, names in zip(labels, found, strict=True))
+
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
         """Return the ids of the visible objects that a word for `label` might mean in a room. Unlabelled objects are
         included.
         """
         if (room_id, label) not in self._things:
-            found = things_meant(self._scene, room_id, label, self._words, self._sightings)
+            (found,) = things_meant_by(self._scene, room_id, (label,), self._words, self._sightings)
             self._things[room_id, label] = found
         return self._things[room_id, label]
 
@@ -197,7 +221,7 @@ class Observer:
         """Compute and cache the wanted lines of sight that are not cached yet, all together."""
         new: dict[SightNeed, dict[bytes, F64]] = {}
         for name, eyes in wanted:
-            known, added = self._seen.setdefault(name, {}), new.setdefault(name, {})
+            known, added = self._seen.setdefault(name, _Seen()).masks, new.setdefault(name, {})
             for key, place in zip(eyes.keys, eyes.places, strict=True):
                 if key not in known:
                     added[key] = place
@@ -208,27 +232,70 @@ class Observer:
                 looks.append(Look(np.array(list(places.values())), target, self.around[name[0]]))
                 keys.append((name, places))
         for (name, places), seen in zip(keys, self._view.seen_by_each(looks), strict=True):
-            self._seen[name].update(zip(places, seen, strict=True))
+            self._seen[name].add(places, seen, self._least(name))
 
-    def _known(self, ways: _Needs, eyes: _Eyes, yaw: float | None = None) -> bool:
-        """Return whether a condition's truth can be known from the `eyes`. Each of the `ways` is a set of evidence that
-        suffices to know the truth; all evidence of at least one set must be visible. With a `yaw`, only the view
-        straight ahead counts.
+    def _least(self, name: SightNeed) -> float:
+        """Return the share of a target's sample points that must be seen."""
+        return self._rules.floor_seen if name[0] == "floor" else self._rules.object_seen
+
+    def _known(self, ways: _Needs, eyes: _Eyes) -> bool:
+        """Return whether a condition's truth can be known from the `eyes`, looking all around. Each of the `ways` is a
+        set of evidence that suffices to know the truth; all evidence of at least one set must be visible.
         """
-        return any(all(self._is_seen(name, eyes, yaw) for name in way) for way in ways)
+        return any(all(self._is_seen(name, eyes) for name in way) for way in ways)
 
-    def _is_seen(self, name: SightNeed, eyes: _Eyes, yaw: float | None) -> bool:
-        target = self.target(name)
-        if target is None:
+    def _is_seen(self, name: SightNeed, eyes: _Eyes) -> bool:
+        if self.target(name) is None:
             return False
-        rows = self._seen[name]
-        seen = rows[eyes.keys[0]]
-        if len(eyes.keys) > 1:
-            seen = np.logical_or.reduce([rows[key] for key in eyes.keys])
-        if yaw is not None:
-            seen = seen & in_view(eyes.places, target.samples, self._front, [yaw])[0]
-        least = self._rules.floor_seen if name[0] == "floor" else self._rules.object_seen
-        return bool(len(seen) and np.count_nonzero(seen) / len(seen) >= least)
+        return self._seen[name].is_enough(eyes.keys, self._least(name))
+
+    def _ahead(self, asked: Iterable[tuple[SightNeed, _Eyes, float]]) -> set[tuple[SightNeed, bytes, float]]:
+        """Return which of the needs are met in the view straight ahead, by its yaw, from the first of the eyes."""
+        needs = [
+            ((name, eyes.keys[0], yaw), eyes.places[0], target.samples)
+            for name, eyes, yaw in asked
+            if (target := self.target(name)) is not None and self._is_seen(name, eyes)
+        ]
+        met = set[tuple[SightNeed, bytes, float]]()
+        for begin in range(0, len(needs), NEEDS_AT_ONCE):
+            part = needs[begin : begin + NEEDS_AT_ONCE]
+            sizes = [len(samples) for _, _, samples in part]
+            eyes = np.repeat([place for _, place, _ in part], sizes, axis=0)
+            yaws = np.repeat([yaw for (_, _, yaw), _, _ in part], sizes)
+            seen = np.concatenate([self._seen[name].masks[key] for (name, key, _), _, _ in part])
+            seen &= lines_in_view(eyes, np.concatenate([samples for _, _, samples in part]), self._front, yaws)
+            begins = np.cumsum([0, *sizes[:-1]], dtype=np.int64)
+            counts = np.add.reduceat(seen.view(np.uint8), begins, dtype=np.int64).tolist()
+            for (need, _, _), count, size in zip(part, counts, sizes, strict=True):
+                if count / size >= self._least(need[0]):
+                    met.add(need)
+        return met
+
+
+class _Seen:
+    """What is seen of one target from the eyes from which it was looked for.
+
+    masks : which sample points (k,) each eye sees, by its key
+    """
+
+    def __init__(self) -> None:
+        self.masks: dict[bytes, Bools] = {}
+        self._enough: dict[bytes, bool] = {}
+
+    def add(self, keys: Collection[bytes], seen: Bools, least: float) -> None:
+        """Add the masks (n, k) of n eyes. At least the share `least` of the k sample points must be seen."""
+        self.masks.update(zip(keys, seen, strict=True))
+        enough = np.count_nonzero(seen, axis=1) / max(1, seen.shape[1]) >= least
+        self._enough.update(zip(keys, enough.tolist(), strict=True))
+
+    def is_enough(self, keys: Sequence[bytes], least: float) -> bool:
+        """Return whether enough of the target is seen from several eyes together."""
+        if any(self._enough[key] for key in keys):
+            return True
+        if len(keys) == 1:
+            return False
+        seen = np.logical_or.reduce([self.masks[key] for key in keys])
+        return bool(np.count_nonzero(seen) / len(seen) >= least)
 
 
 class _Eyes:

@@ -355,16 +355,14 @@ class Placer:
             if fitting is None:
                 raise Rejected(NOT_FIT)
             yaw = fitting
-        placed = []
-        for leaf, (route, distance, goals) in zip(program.leaves, leaves, strict=True):
-            walk = self._walk(start, yaw, route)
-            placed.append(PlacedLeaf(tuple([m.object_id for m in leaf.moves]), goals, route, distance, walk))
+        walks = self._follower.follow_each(start, yaw, [found.route.stops for found in leaves])
+        for walk in walks:
+            if walk.outcome == "too long":
+                raise Rejected("over_step_budget")
+            if not walk.arrived:
+                raise Rejected("follower_stuck")
+        placed = [
+            PlacedLeaf(tuple([move.object_id for move in leaf.moves]), goals, route, distance, walk)
+            for leaf, (route, distance, goals), walk in zip(program.leaves, leaves, walks, strict=True)
+        ]
         return Placement(start, yaw, tuple(placed), self.tau)
-
-    def _walk(self, start: F64, yaw: float, route: Route) -> FollowedRoute:
-        walk = self._follower.follow(start, yaw, route.stops)
-        if walk.outcome == "too long":
-            raise Rejected("over_step_budget")
-        if not walk.arrived:
-            raise Rejected("follower_stuck")
-        return walk

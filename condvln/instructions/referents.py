@@ -52,6 +52,7 @@ __all__ = [
     "qualifier_of",
     "room_refs",
     "things_meant",
+    "things_meant_by",
 ]
 
 ALTERNATIVES: Final = 2
@@ -336,9 +337,17 @@ def things_meant(
     """Return the ids of the visible objects of a room that a word for `label` might mean. Unlabelled objects are
     included.
     """
+    return things_meant_by(scene, room_id, (label,), vocabulary, sightings)[0]
+
+
+def things_meant_by(
+    scene: Scene, room_id: str, labels: Sequence[str], vocabulary: Vocabulary, sightings: Sightings = EVERYTHING_SEEN
+) -> list[tuple[str, ...]]:
+    """Return what `things_meant` returns for each of several labels."""
     arrays = scene.arrays(room_id)
-    meant = meant_by((label,), arrays.labels, _nameless(arrays, vocabulary, scene.family)[0], vocabulary)[0]
-    return tuple(arrays.object_ids[i] for i in np.flatnonzero(meant & ~sightings.hidden(arrays) & ~parts(arrays)))
+    meant = meant_by(labels, arrays.labels, _nameless(arrays, vocabulary, scene.family)[0], vocabulary)
+    meant &= ~sightings.hidden(arrays) & ~parts(arrays)
+    return [tuple(arrays.object_ids[i] for i in np.flatnonzero(row)) for row in meant]
 
 
 def _nameless(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -216,21 +217,57 @@ class Follower:
         if not len(headings):
             return []
         own = [np.atleast_2d(one) for one in goals]
-        ends = np.cumsum([len(one) for one in own])
-        limits = Limits(np.float32(self.stop_within), np.float32(self.arrive_within))
-        made, outcomes = follow_many(
-            self.pathfinder.query_mesh, *self._gaits(headings), many_points(starts), many_points(np.concatenate(own)),
-            ends, limits, self.max_actions,
-        )  # fmt: skip
-        found = [
-            Length(count, OUTCOMES[outcome]) for count, outcome in zip(made.tolist(), outcomes.tolist(), strict=True)
-        ]
+        _, ends, _, _, _, _, outcomes = self._followed(
+            *self._gaits(headings), many_points(starts), own, [len(one) for one in own]
+        )
+        counts = np.diff(ends, prepend=0).tolist()
+        found = [Length(count, OUTCOMES[outcome]) for count, outcome in zip(counts, outcomes.tolist(), strict=True)]
         if not self.sliding:
             for number, length in enumerate(found):
                 if length.outcome == OUTCOMES[STUCK]:
                     route = self.follow(many_points(starts)[number], headings[number], own[number])
                     found[number] = Length(len(route.actions), route.outcome)
         return found
+
+    def follow_each(
+        self, start: npt.ArrayLike, heading: float, goals: Sequence[npt.NDArray[np.float64]]
+    ) -> list[FollowedRoute]:
+        """Return the walks that :meth:`follow` makes from ``start`` (3,) to each of several lists of goals (g, 3)."""
+        if not goals:
+            return []
+        gait, sizes = self._gait(heading), [len(one) for one in goals]
+        actions, ends, places, place_ends, arrivals, distances, outcomes = self._followed(
+            gait, gait.moves[None], np.array([heading]), one_point(start), goals, sizes
+        )
+        acted, walked, goal = 0, 0, 0
+        found = []
+        for size, acts, at, distance, outcome in zip(
+            sizes, ends.tolist(), place_ends.tolist(), distances.tolist(), outcomes.tolist(), strict=True
+        ):
+            reached = arrivals[goal : goal + size]
+            found.append(FollowedRoute(actions[acted:acts], places[walked:at], reached, distance, OUTCOMES[outcome]))
+            acted, walked, goal = acts, at, goal + size
+        if not self.sliding:
+            for number, route in enumerate(found):
+                if route.outcome == OUTCOMES[STUCK]:
+                    found[number] = self.follow(start, heading, goals[number])
+        return found
+
+    def _followed(
+        self,
+        gait: Gait,
+        moves: Floats,
+        headings: npt.NDArray[np.float64],
+        starts: Floats,
+        goals: Sequence[npt.NDArray[np.float64]],
+        sizes: Sequence[int],
+    ) -> tuple[npt.NDArray[np.int8], Indices, Floats, Indices, Indices, Floats, Indices]:
+        limits = Limits(np.float32(self.stop_within), np.float32(self.arrive_within))
+        ends = np.array(list(accumulate(sizes)), np.int64)
+        return follow_many(
+            self.pathfinder.query_mesh, gait, moves, headings, starts, many_points(np.concatenate(goals)), ends, limits,
+            self.max_actions,
+        )  # fmt: skip
 
     def places(
         self, starts: npt.ArrayLike, headings: Sequence[float], actions: Sequence[npt.NDArray[np.int8]]

@@ -28,6 +28,7 @@ __all__ = [
     "eyes_at",
     "first_sights",
     "in_view",
+    "lines_in_view",
     "visible_points",
     "visible_shares",
     "visible_to_each",
@@ -179,22 +180,40 @@ def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | 
     ------
     UsageError : the view needs one heading per eye
     """
+    heading: Points | None = None
+    if view.needs_heading:
+        if headings is None:
+            raise UsageError(
+                "the view has a limited field of view, but no headings were given", remedy="Give one heading per eye"
+            )
+        heading = np.asarray(headings, np.float64).reshape(-1, 1)
+        if len(heading) != len(eyes):
+            raise UsageError(f"there are {len(eyes)} eyes but {len(heading)} headings")
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = (points[None, :, axis] - eyes[:, None, axis] for axis in range(3))
+    return _inside(x, y, z, view, heading)
+
+
+def lines_in_view(eyes: Points, points: Points, view: View, headings: Points) -> Flags:
+    """Return a mask (n,): whether each of n points (n, 3) is in the range and field of view of its own eye (n, 3),
+    which looks along its own heading (n,). The values are those of :func:`in_view`.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, y, z = (points - eyes).T
+    return _inside(x, y, z, view, headings)
+
+
+def _inside(x: Points, y: Points, z: Points, view: View, heading: Points | None) -> Flags:
+    """Return a mask of the offsets from eyes to points that are within a view. A heading is needed if it matters."""
+    with np.errstate(invalid="ignore", over="ignore"):
         inside: Flags = x * x + y * y + z * z <= view.range**2
         if view.pitch is not None:
             inside &= np.abs(y) <= np.hypot(x, z) * math.tan(math.radians(view.pitch))
-    if not view.needs_heading:
+    if not view.needs_heading or heading is None:
         return inside
-    if headings is None:
-        raise UsageError(
-            "the view has a limited field of view, but no headings were given", remedy="Give one heading per eye"
-        )
-    heading = np.asarray(headings, np.float64).reshape(-1, 1)
-    if len(heading) != len(eyes):
-        raise UsageError(f"there are {len(eyes)} eyes but {len(heading)} headings")
-    ahead = -x * np.sin(heading) - z * np.cos(heading)
-    aside = x * np.cos(heading) - z * np.sin(heading)
+    sine, cosine = np.sin(heading), np.cos(heading)
+    ahead = -x * sine - z * cosine
+    aside = x * cosine - z * sine
     with np.errstate(invalid="ignore"):
         if view.horizontal_fov != 360:
             inside &= np.abs(aside) <= ahead * math.tan(math.radians(view.horizontal_fov / 2))

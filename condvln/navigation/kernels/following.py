@@ -323,8 +323,32 @@ def _plan(
     return around, after, 0
 
 
+class _WalkMemory(NamedTuple):
+    """Working memory of one thread for walks."""
+
+    search: Search
+    step: StepMemory
+    place: Place
+    reached: Place
+    goal: Place
+    corners: Floats
+    """(2, MAX_POINTS, 3)"""
+
+
 @compiled
-def follow(
+def _new_walk_memory(polygons: int) -> _WalkMemory:
+    return _WalkMemory(
+        new_search(polygons),
+        new_step_memory(),
+        new_place(),
+        new_place(),
+        new_place(),
+        np.empty((2, MAX_POINTS, 3), np.float32),
+    )
+
+
+@compiled
+def _walk(
     mesh: QueryMesh,
     gait: Gait,
     start: Floats,
@@ -332,29 +356,21 @@ def follow(
     limits: Limits,
     max_actions: int,
     careful: bool,
-) -> tuple[npt.NDArray[np.int8], Floats, Indices, np.float32, int]:
-    """Walk from ``start`` to each of ``goals`` (g, 3) in turn.
-
-    Returns the actions (STOP last), the positions before the first and after each forward step, the number of forward
-    steps at which each goal was reached (-1: not reached), the remaining geodesic distance in metres, and the outcome.
-    A ``careful`` walk without sliding touches a wall only if it would not make progress otherwise.
+    held: _WalkMemory,
+    actions: npt.NDArray[np.int8],
+    locations: Floats,
+    arrivals: Indices,
+) -> tuple[int, int, np.float32, int]:
+    """Walk as `follow` says, and write to ``actions``, ``locations`` and ``arrivals``, which are long enough. Return
+    the number of actions before STOP, that of forward steps, the remaining geodesic metres, and the outcome.
     """
-    mesh, gait, goals = uncounted(mesh), uncounted(gait), uncounted(goals)
     headings = gait.moves.shape[0]
-    actions = np.empty(max_actions + 1, np.int8)
-    locations = np.empty((max_actions + 1, 3), np.float32)
-    arrivals = np.full(goals.shape[0], -1, np.int64)
-    held = (
-        new_search(mesh.poly_size.shape[0]),
-        new_step_memory(),
-        new_place(),
-        new_place(),
-        new_place(),
-        np.empty((2, MAX_POINTS, 3), np.float32),
-    )
-    search, memory, place, reached, goal, corners = uncounted(held)
-    points, scratch = corners[0], corners[1]
-    put(mesh, uncounted(start), place)
+    search, memory, place, reached, goal = held.search, held.step, held.place, held.reached, held.goal
+    points, scratch = held.corners[0], held.corners[1]
+    locations[0] = start
+    for number in range(goals.shape[0]):
+        arrivals[number] = -1
+    put(mesh, start, place)
     locations[0] = start
     made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees again
     status = ARRIVED
@@ -421,6 +437,33 @@ def follow(
             break
         arrivals[number] = walked
     actions[made] = STOP
+    return made, walked, distance, status
+
+
+@compiled
+def follow(
+    mesh: QueryMesh,
+    gait: Gait,
+    start: Floats,
+    goals: Floats,
+    limits: Limits,
+    max_actions: int,
+    careful: bool,
+) -> tuple[npt.NDArray[np.int8], Floats, Indices, np.float32, int]:
+    """Walk from ``start`` to each of ``goals`` (g, 3) in turn.
+
+    Returns the actions (STOP last), the positions before the first and after each forward step, the number of forward
+    steps at which each goal was reached (-1: not reached), the remaining geodesic distance in metres, and the outcome.
+    A ``careful`` walk without sliding touches a wall only if it would not make progress otherwise.
+    """
+    actions = np.empty(max_actions + 1, np.int8)
+    locations = np.empty((max_actions + 1, 3), np.float32)
+    arrivals = np.empty(goals.shape[0], np.int64)
+    held = _new_walk_memory(mesh.poly_size.shape[0])
+    made, walked, distance, status = _walk(
+        uncounted(mesh), uncounted(gait), uncounted(start), uncounted(goals), limits, max_actions, careful,
+        uncounted(held), uncounted(actions), uncounted(locations), uncounted(arrivals),
+    )  # fmt: skip
     keep(held)
     return actions[: made + 1].copy(), locations[: walked + 1].copy(), arrivals, distance, status
 
@@ -464,22 +507,40 @@ def follow_many(
     goal_ends: Indices,
     limits: Limits,
     max_actions: int,
-) -> tuple[Indices, Indices]:
-    """Return the number of actions (n,), the last STOP included, and the outcome (n,) of n walks as by `follow`.
+) -> tuple[npt.NDArray[np.int8], Indices, Floats, Indices, Indices, Floats, Indices]:
+    """Return what `follow` returns for each of n walks: the actions and the locations, concatenated and each with the
+    end index (n,) of each walk, the arrivals (g,), the remaining distances (n,) and the outcomes (n,).
 
-    moves (n, h, 2), headings (n,), starts (n, 3) : of each walk; ``gait`` holds the rest, which all share
+    moves (n, h, 2), headings (n,), starts (n, 3) : of each walk, or one of all walks; ``gait`` holds the rest, which
+        all share
     goals (g, 3), goal_ends (n,) : of all walks, concatenated
     """
-    made, outcomes = np.empty(len(starts), np.int64), np.empty(len(starts), np.int64)
-    first = 0
-    for walk in range(len(starts)):
-        own = Gait(moves[walk], headings[walk], gait.turn, gait.length, gait.sliding)
-        actions, _, _, _, outcome = follow(
-            mesh, own, starts[walk], goals[first : goal_ends[walk]], limits, max_actions, BOLD
-        )
-        made[walk], outcomes[walk] = len(actions), outcome
-        first = goal_ends[walk]
-    return made, outcomes
+    count, longest = len(goal_ends), max_actions + 1
+    actions, locations = np.empty(2 * longest, np.int8), np.empty((2 * longest, 3), np.float32)
+    ends, location_ends, arrivals = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(len(goals), np.int64)
+    distances, outcomes = np.empty(count, np.float32), np.empty(count, np.int64)
+    held = _new_walk_memory(mesh.poly_size.shape[0])
+    first, made, walked = 0, 0, 0
+    for walk in range(count):
+        if made + longest > len(actions):  # locations are never more than actions
+            more, longer = np.empty(2 * len(actions), np.int8), np.empty((2 * len(actions), 3), np.float32)
+            for k in range(made):  # value by value: assigning a part of an array takes seconds to compile
+                more[k] = actions[k]
+            for k in range(walked):
+                for axis in range(3):
+                    longer[k, axis] = locations[k, axis]
+            actions, locations = more, longer
+        of = min(walk, len(starts) - 1)
+        own = Gait(moves[of], headings[of], gait.turn, gait.length, gait.sliding)
+        turns, steps, distances[walk], outcomes[walk] = _walk(
+            uncounted(mesh), uncounted(own), uncounted(starts[of]), uncounted(goals[first : goal_ends[walk]]), limits,
+            max_actions, BOLD, uncounted(held), uncounted(actions[made:]), uncounted(locations[walked:]),
+            uncounted(arrivals[first : goal_ends[walk]]),
+        )  # fmt: skip
+        first, made, walked = goal_ends[walk], made + turns + 1, walked + steps + 1
+        ends[walk], location_ends[walk] = made, walked
+    keep(held)
+    return actions[:made].copy(), ends, locations[:walked].copy(), location_ends, arrivals, distances, outcomes
 
 
 @compiled
