@@ -84,12 +84,11 @@ def scene_visibility(
         open_ones = [item for item in things if item.room_id == room.room_id and not item.hidden]
         targets = [view.target(item.object_id) for item in open_ones]
         for item, sights in zip(open_ones, view.sighted(few, targets, _ANY_DISTANCE), strict=True):
-            one = _visibility(item, few, *sights)
-            if not one.seeable and len(eyes):
-                target = view.denser_target(item.object_id, CLOSE_SAMPLES)
-                (sights,) = view.sighted(eyes, [target], _ANY_DISTANCE)
-                one = _visibility(item, eyes, *sights)
-            found[item.object_id] = one
+            found[item.object_id] = _visibility(item, few, *sights)
+        unsure = [item for item in open_ones if not found[item.object_id].seeable] if len(eyes) else []
+        denser = [view.denser_target(item.object_id, CLOSE_SAMPLES) for item in unsure]
+        for item, sights in zip(unsure, view.sighted(eyes, denser, _ANY_DISTANCE), strict=True):
+            found[item.object_id] = _visibility(item, eyes, *sights)
     return [found.get(item.object_id) or _from_nowhere(item) for item in things]
 
 

@@ -162,6 +162,10 @@ def test_an_object_in_the_middle_of_nothing_has_none(flat) -> None:
     )
 
 
+def test_goal_points_of_no_object_are_a_table_without_rows() -> None:
+    assert goals_from_table(stops_table("flat", {})) == {}
+
+
 def test_furniture_the_navmesh_ignores_is_found(flat) -> None:
     scene, pathfinder = flat
     assert blocked_footprints(scene, pathfinder, 0.2) == []
@@ -169,7 +173,14 @@ def test_furniture_the_navmesh_ignores_is_found(flat) -> None:
     shelf = box("shelf", 4, 5, half=0.4)
     picture = box("picture", 2.5, 3, bottom=1.2, top=1.8)
     fuller = apartment(*OBJECTS, rug, shelf, picture)
+    found = blocked_footprints(fuller, pathfinder, 0.2)
+    assert [item.object_id for item, _ in found] == ["shelf"]
+    # What is kept of a scene follows the climb and the navmesh, and no caller can change it.
+    found.clear()
     assert [item.object_id for item, _ in blocked_footprints(fuller, pathfinder, 0.2)] == ["shelf"]
+    assert [item.object_id for item, _ in blocked_footprints(fuller, pathfinder, 0.01)] == ["rug", "shelf"]
+    elsewhere = grid_floor(8, 6, lambda x, z: np.hypot(x - 4, z - 5) < 1.2)
+    assert [item.object_id for item, _ in blocked_footprints(fuller, elsewhere, 0.2)] == [o.object_id for o in OBJECTS]
 
 
 def check_walk(walk, start: np.ndarray, yaw: float, stops: np.ndarray, pathfinder: Pathfinder) -> None:

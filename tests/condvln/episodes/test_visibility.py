@@ -151,3 +151,8 @@ def test_a_frame_hides_nothing_of_what_is_on_it_and_a_solid_does(holder: str) ->
     eye = np.array([[0.0, EYE, 0.0]])
     shown = {name: bool(view.glimpsed(eye, name, View(range=9.0))[0]) for name in ("vase", "lamp", "sofa")}
     assert shown == {"vase": holder in ("shelf", "coffee table"), "lamp": True, "sofa": False}
+    # Objects that are looked for together, each from eyes of its own, are seen as if each was the only one.
+    eyes = [eye + np.array([[k * 0.7, 0.0, k * 0.3]]) * np.arange(4)[:, None] for k in range(3)]
+    together = view.glimpsed_each(eyes, ["vase", "lamp", "sofa"], View(range=9.0))
+    for own, name, found in zip(eyes, ("vase", "lamp", "sofa"), together, strict=True):
+        assert found.tolist() == view.seen(own, view.target(name), View(range=9.0)).any(axis=1).tolist()

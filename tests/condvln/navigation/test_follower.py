@@ -49,6 +49,13 @@ def check_walk(follower: Follower, route: FollowedRoute, start: np.ndarray, head
     together = follower.places(starts, headings, [one.actions for one in alone])
     for one, found in zip(alone, together, strict=True):
         np.testing.assert_array_equal(found, one.locations)
+    both = [np.reshape(goals, (-1, 3)), np.reshape(goals, (-1, 3))[-1:]]
+    for one, found in zip(
+        [follower.follow(start, heading, own) for own in both], follower.follow_each(start, heading, both), strict=True
+    ):
+        for name in ("actions", "locations", "arrivals"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(one, name))
+        assert (found.distance_to_goal, found.outcome) == (one.distance_to_goal, one.outcome)
     # Each goal is met on the way, in order.
     assert np.all(np.diff(route.arrivals) >= 0)
     for goal, arrival in zip(goals.reshape(-1, 3), route.arrivals, strict=True):

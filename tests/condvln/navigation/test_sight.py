@@ -16,7 +16,16 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from condvln.navigation import occluders as occluders_module
 from condvln.navigation.kernels.first_hits import blocked_rays
 from condvln.navigation.occluders import BoxOccluders, MeshOccluders, wall_boxes
-from condvln.navigation.sight import SightTarget, View, eyes_at, first_sights, visible_points, visible_shares
+from condvln.navigation.sight import (
+    SightTarget,
+    View,
+    eyes_at,
+    first_sights,
+    in_view,
+    lines_in_view,
+    visible_points,
+    visible_shares,
+)
 from condvln.navigation.surface_samples import box_samples
 from schemas.errors import FormatError, UsageError
 
@@ -359,3 +368,13 @@ def test_occluders_are_freed_without_a_garbage_collection() -> None:
         assert seen() is None
     finally:
         gc.enable()
+
+
+@given(st.integers(0, 1000))
+def test_a_view_holds_lines_as_it_holds_all_pairs(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    eyes, points, headings = draw.uniform(-3, 3, (9, 3)), draw.uniform(-3, 3, (5, 3)), draw.uniform(-7, 7, 9)
+    view = View(range=4.0, horizontal_fov=90.0, vertical_fov=90.0)
+    pairs = in_view(eyes, points, view, headings)
+    lines = lines_in_view(np.repeat(eyes, 5, axis=0), np.tile(points, (9, 1)), view, np.repeat(headings, 5))
+    assert lines.tolist() == pairs.ravel().tolist()
