@@ -26,6 +26,8 @@ ROUNDING: Final = 1e-6
 
 CORNERS: Final = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 
+_NEXT: Final = [1, 2, 3, 0]
+
 _SIDES: Final = ((1, 2), (0, 2), (0, 1))
 """The axes of a box that are level if the axis of this number is upright."""
 
@@ -45,10 +47,20 @@ def _arcs(offset: float, spacing: float) -> tuple[tuple[F64, F64], ...]:
     return tuple(found)
 
 
-@lru_cache(maxsize=256)
-def _steps(count: int) -> F64:
-    """Return the fractions (n, 1) at which a side begins its n steps."""
-    return np.asarray(np.arange(count)[:, None] / count, dtype=np.float64)
+@lru_cache(maxsize=1024)
+def _ring(offset: float, spacing: float, counts: tuple[int, int]) -> tuple[NDArray[np.intp], F64, F64]:
+    """Return for each point of a ring the corner of the rectangle (n,) that it belongs to, its offset (n, 2) from that
+    corner, and the share (n, 1) of the side after the corner that is added. `counts` are the numbers of points on the
+    sides after the first two corners, and after the other two.
+    """
+    corner, away, along = list[NDArray[np.intp]](), list[F64](), list[F64]()
+    for k, (arc, normal) in enumerate(_arcs(offset, spacing)):
+        # A quarter arc around each corner, then the straight side to the next one.
+        count = counts[k % 2]
+        corner.append(np.full(len(arc) + count, k))
+        away += [arc, np.broadcast_to(normal, (count, 2))]
+        along += [np.zeros((len(arc), 1)), np.arange(count)[:, None] / count]
+    return np.concatenate(corner), np.concatenate(away), np.concatenate(along)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -136,14 +148,10 @@ class Footprint:
             # Points closer than `offset` to another part lie inside the curve.
             return around[self.distance(np.insert(around, 1, 0.0, axis=1)) >= offset - ROUNDING]
         corners = CORNERS * self.half
-        points = []
-        for k, (arc, normal) in enumerate(_arcs(offset, spacing)):
-            # A quarter arc around each corner, then the straight side to the next one.
-            points.append(corners[k] + arc)
-            side = corners[(k + 1) % 4] - corners[k]
-            count = max(1, math.ceil(max(map(abs, side.tolist())) / spacing))
-            points.append(corners[k] + normal + _steps(count) * side)
-        return np.asarray(self.center + np.concatenate(points) @ self.axes, dtype=np.float64)
+        sides = corners[_NEXT] - corners
+        wide, deep = (max(1, math.ceil(2.0 * half / spacing)) for half in self.half.tolist())
+        corner, away, along = _ring(offset, spacing, (wide, deep))
+        return np.asarray(self.center + (corners[corner] + away + along * sides[corner]) @ self.axes, dtype=np.float64)
 
     def crossed_by(self, starts: F64, ends: F64) -> NDArray[np.bool_]:
         """Return a mask (n,) of the horizontal segments that cross the footprint's interior. The n segments run from
