@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,10 +17,9 @@ import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
-from condvln.episodes.candidates import Candidate
 from condvln.episodes.picture import draw_episode, wall_lines
 from condvln.episodes.pool import EpisodePool
-from condvln.episodes.steps import Walkable, draw_programs, look_around, place_programs, published_texts
+from condvln.episodes.steps import Walkable, look_around, place_programs, published_texts
 from condvln.episodes.table import placements_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import sightings_from_table, visibility_table
@@ -191,7 +190,7 @@ class World:
         walkable = Walkable(self.pathfinder, self.view, self.agent.max_climb)
         seen = look_around(scene, walkable, eye_height=places.eye_height, island_radius=places.island_radius)
         sightings = sightings_from_table(visibility_table(scene, seen))
-        drawn = draw_programs(
+        placed = place_programs(
             scene,
             self._facts(thresholds),
             priors.bits(scene, sampling.plausible_share, sampling.predicates, instructions.directions),
@@ -201,24 +200,12 @@ class World:
             sampling=sampling,
             places=places,
             goals=goals,
-            preamble=text.preamble,
-            seed=seed,
-        )
-        pool = place_programs(
-            scene,
-            drawn.candidates,
-            drawn.goals,
-            walkable,
-            sightings,
-            instructions=instructions,
-            sampling=sampling,
-            places=places,
             rules=episodes,
             thresholds=thresholds,
             preamble=text.preamble,
             seed=seed,
         )
-        return self._published(pool, drawn.candidates, episodes, text, instructions.wording, seed)
+        return self._published(placed.pool, episodes, text, instructions.wording, seed)
 
     def draw(self, episode: ManifestEpisode, path: str | os.PathLike[str]) -> Path:
         """Write a PNG of an episode and return its path. The picture shows the plan from above, what the conditions ask
@@ -255,7 +242,6 @@ class World:
     def _published(
         self,
         pool: EpisodePool,
-        candidates: Sequence[Candidate],
         rules: EpisodeConfig,
         text: TextConfig,
         wording: WordingConfig,
@@ -263,13 +249,12 @@ class World:
     ) -> list[ManifestEpisode]:
         scene = self.scene
         assert scene.navmesh is not None
-        programs = {candidate.instruction_id: candidate.program for candidate in candidates}
+        programs = {episode.instruction_id: episode.program for episode in pool.episodes}
         compositions = {name: composition(program) for name, program in programs.items()}
         placements = placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256)
         _, texts = published_texts(programs, placements.to_pylist(), text, wording, seed)
-        placed = {episode.instruction_id: programs[episode.instruction_id] for episode in pool.episodes}
         instruction_of = {
-            row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, placed.items()))
+            row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, programs.items()))
         }
         names = {"source": scene.family, "split": "train", "navmesh": scene.navmesh.path, "snapshot": ""}
         return [

@@ -121,9 +121,9 @@ def configuration_page() -> str:
         "keys are errors, and a key that moved is refused with its new name.",
         "*Makes stale* names the stages that read the key: a run after a change does these again for every scene, and "
         "later stages only where their input changed. Stages in their order: `scene`, `counts`, `relations`, "
-        "`visibility`, `programs`, `episodes`, `text`; `priors` are the sums of `counts` over all scenes. `programs` "
-        "read `text.preamble` and the wording (`instructions.language`, `voices`, `length`) only where a cell bounds "
-        "`words`. The export is written again after each run.",
+        "`visibility`, `episodes`, `text`; `priors` are the sums of `counts` over all scenes. `episodes` reads the "
+        "wording (`instructions.language`, `voices`, `length`) only where a cell bounds `words`. The export is written "
+        "again after each run.",
     ]
     at = ""
     rows: list[str] = []

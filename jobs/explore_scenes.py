@@ -131,9 +131,11 @@ def snapshot_scenes(config: Config, export: Path | None) -> Scenes:
 
 
 def _candidates(snapshot: Snapshot, pipeline: Pipeline, unit_id: str) -> Mapping[str, Program]:
-    """Return a scene's candidate programs by id; none where the store no longer has them."""
+    """Return a scene's published programs, and examples of rejected ones, by id; none where the store no longer has
+    them.
+    """
     try:
-        table = snapshot.unit_table(unit_id, pipeline, "candidates")
+        table = snapshot.unit_table(unit_id, pipeline, "programs")
     except StoreError:
         return {}
     return dict(programs_from_table(table)) if table.num_rows else {}

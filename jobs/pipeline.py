@@ -20,7 +20,6 @@ from jobs.stages import (
     CountStage,
     EpisodeStage,
     PriorsAggregate,
-    ProgramStage,
     RelationStage,
     SceneStage,
     TextStage,
@@ -44,13 +43,13 @@ _STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
     "visibility": "visibility",
     "instructions": "text",
     "episodes": "text",
-    "rejections": ("programs", "episodes"),
+    "rejections": "episodes",
     "funnel": "episodes",
 }
 
 
 def build_pipeline(config: Config) -> Pipeline:
-    """Build the seven stages under `config`, with the nine tables that they publish."""
+    """Build the six stages under `config`, with the nine tables that they publish."""
     agent, preamble = config.agent, config.text.preamble
     return Pipeline(
         name="condvln",
@@ -59,22 +58,13 @@ def build_pipeline(config: Config) -> Pipeline:
             CountStage(config.thresholds, config.sampling.anchor_size),
             RelationStage(config.thresholds),
             VisibilityStage(config.places.eye_height, config.places.island_radius, agent.max_climb),
-            ProgramStage(
+            EpisodeStage(
                 config.thresholds,
                 config.places,
                 config.instructions,
                 config.sampling,
                 config.goals,
-                agent.max_climb,
-                preamble,
-                config.seed,
-            ),
-            EpisodeStage(
-                config.places,
-                config.instructions,
-                config.sampling,
                 config.episodes,
-                config.thresholds,
                 agent.max_climb,
                 preamble,
                 config.seed,

@@ -408,11 +408,15 @@ _CELL: Final = "cell of the configuration: a category, and the other axes that i
 REJECTIONS: Final = pa.schema(
     [
         _SCENE_ID,
-        _required("stage", _S, "stage that rejected the candidates"),
+        _required(
+            "stage",
+            _S,
+            "what was rejected: draws of programs (`programs`) or candidates that can't be placed (`episodes`)",
+        ),
         _field("category", _S, _CATEGORY),
         _required("cell", _S, _CELL),
-        _required("reason", _S, "rule that the candidates failed"),
-        _required("count", pa.int64(), "number of rejected candidates"),
+        _required("reason", _S, "rule that they failed"),
+        _required("count", pa.int64(), "number of rejected draws or candidates"),
         _field("example", _S, "one of the rejected candidates"),
     ]
 )

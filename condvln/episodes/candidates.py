@@ -1,4 +1,4 @@
-"""Candidate programs: what the sampler drew for a scene, in the order in which placing tries them."""
+"""Candidate programs of a scene, drawn as placing asks for them."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from typing import Final
 
 import pyarrow as pa
 
+from condvln.instructions.cell_drawing import CellDrawing, Seen
 from condvln.instructions.counterfactuals import group_id
 from condvln.instructions.programs import ProgramParts, instruction_id
 from condvln.instructions.sampling import ProgramSampler
-from condvln.instructions.tables import instruction_table, programs_from_table
 from schemas.config import InstructionCell
-from schemas.program import CATEGORIES, Program
-from schemas.tables import INSTRUCTIONS
+from schemas.config.constants import GROUP_SIZE
+from schemas.program import CATEGORIES, SHAPES, Category, Program
 
 __all__ = [
     "UNPLACED",
     "Candidate",
-    "candidates_from_table",
-    "candidates_table",
+    "CandidateSupply",
     "cell_name",
     "draw_candidates",
     "unplaced_programs",
@@ -35,9 +34,6 @@ UNPLACED: Final = pa.schema([("instruction_id", pa.string())])
 """Schema of the ids of instructions that are published without an episode because their scene has no navmesh; stored in
 the unit.
 """
-
-_CELL: Final = pa.field("cell", pa.string(), nullable=False)
-_GROUP: Final = INSTRUCTIONS.field("group_id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,40 +54,66 @@ def cell_name(cell: InstructionCell | None) -> str:
 
 
 def draw_candidates(sampler: ProgramSampler) -> list[Candidate]:
-    """Draw all candidates: the programs of each cell, then the counterfactual groups, which may repeat some
-    programs.
+    """Draw all candidates, for a scene in which none is placed: the programs of each cell, then the counterfactual
+    groups, which may repeat some programs.
     """
-    family, scene_id = sampler.scene.family, sampler.scene.scene_id
-    parts = ProgramParts()
-    found = [
-        Candidate(instruction_id(family, scene_id, program, parts), program, cell)
-        for category in CATEGORIES
-        for cell, program in sampler.drawn(category)
-    ]
-    for group in sampler.groups():
-        name = group_id(family, scene_id, group)
-        found += [Candidate(instruction_id(family, scene_id, program, parts), program, None, name) for program in group]
+    supply = CandidateSupply(sampler)
+    found = [supply.candidate(program, cell) for category in CATEGORIES for cell, program in sampler.drawn(category)]
+    while group := supply.group():
+        found += group
     return found
 
 
-def candidates_table(scene_id: str, candidates: Sequence[Candidate]) -> pa.Table:
-    """Return candidates as table rows: the columns of INSTRUCTIONS, and ``cell``."""
-    table = instruction_table(scene_id, ((c.instruction_id, c.program) for c in candidates))
-    groups = pa.array([c.group_id for c in candidates], _GROUP.type)
-    table = table.set_column(table.schema.get_field_index(_GROUP.name), _GROUP, groups)
-    return table.append_column(_CELL, pa.array([cell_name(c.cell) for c in candidates], _CELL.type))
+class CandidateSupply:
+    """Draws the candidates of a scene one after the other, as placing asks for them. Counterfactual groups may repeat
+    programs of cells.
 
-
-def candidates_from_table(table: pa.Table, cells: Iterable[InstructionCell]) -> list[Candidate]:
-    """Return the candidates from the rows of `candidates_table`, in order; `cells` are the cells for which they were
-    drawn.
+    Attributes
+    ----------
+    labels : number of labels that leaves of the scene can have
+    group_leaves : mean number of leaves of all programs of a counterfactual group
     """
-    named = {cell.name: cell for cell in cells}
-    columns = (table[name].to_pylist() for name in (_CELL.name, _GROUP.name))
-    return [
-        Candidate(name, program, None if group is not None else named[cell], group)
-        for (name, program), cell, group in zip(programs_from_table(table), *columns, strict=True)
-    ]
+
+    def __init__(self, sampler: ProgramSampler) -> None:
+        self._sampler = sampler
+        self._parts = ProgramParts()
+        self._groups = sampler.groups()
+        self._seen: dict[Category, Seen] = {}
+        self._drawings: dict[InstructionCell, CellDrawing | None] = {}
+        self.labels = len(sampler.stop_sampler.labels)
+        leaves = [SHAPES[category].leaves for category in CATEGORIES if sampler.wanted.cells_of(category)]
+        self.group_leaves = GROUP_SIZE * sum(leaves) / max(1, len(leaves))
+
+    def candidate(self, program: Program, cell: InstructionCell | None, group: str | None = None) -> Candidate:
+        """Return a candidate of the scene."""
+        scene = self._sampler.scene
+        return Candidate(instruction_id(scene.family, scene.scene_id, program, self._parts), program, cell, group)
+
+    def group(self) -> list[Candidate]:
+        """Return the next counterfactual group; empty if there are no more."""
+        group = next(self._groups, ())
+        if not group:
+            return []
+        name = group_id(self._sampler.scene.family, self._sampler.scene.scene_id, group)
+        return [self.candidate(program, None, name) for program in group]
+
+    def more(
+        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
+    ) -> list[Candidate]:
+        """Return the next `count` candidates of a cell, fewer if the cell is exhausted.
+
+        golds : their gold leaves, which are dealt in a random order, and again if there are fewer than `count`
+        moves : shares of their leaves with 1, 2, … moves; None for the shares of the configuration
+        """
+        if cell not in self._drawings:
+            if cell.category not in self._seen:
+                self._seen[cell.category] = self._sampler.nothing_seen(cell.category)
+            self._drawings[cell] = self._sampler.drawing(cell, self._seen[cell.category])
+        drawing = self._drawings[cell]
+        if drawing is None:
+            return []
+        drawing.aim(golds, moves or self._sampler.sampling.drawn_move_shares(cell.category))
+        return [self.candidate(program, cell) for program in self._sampler.programs(cell, drawing, count)]
 
 
 def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:

@@ -1,4 +1,6 @@
-"""Fill a scene's pool of episodes from candidate programs, within quotas and without favouring a label."""
+"""Fill a scene's pool of episodes: draw candidate programs as they are wanted and place them, within quotas and without
+favouring a label.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,8 @@ from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Final
+from itertools import chain
+from typing import Final, Protocol, TypeAlias
 
 from condvln.episodes.candidates import Candidate
 from condvln.episodes.identity import colliding, content_hash, numeric_id
@@ -15,15 +18,20 @@ from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected
 from schemas.config import InstructionCell
+from schemas.config.constants import DRAWN_PER_PLACE, MOVES_OFF
 from schemas.program import SHAPES, Category, Program
 
-__all__ = ["EpisodePool", "PooledEpisode", "fill_pool"]
+__all__ = ["EpisodePool", "MoveShares", "PooledEpisode", "Supply", "fill_pool"]
 
 QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 """Yaw offsets tried for a start whose first view must show the evidence; they map compass points to compass points."""
 
 PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "label_over_cap", "program_placed"})
 """Rejection reasons that may no longer apply after other episodes are dropped."""
+
+
+MoveShares: TypeAlias = Callable[[Category], tuple[Sequence[float], Sequence[float]]]
+"""Returns the shares of leaves with 1, 2, … moves that are wanted of a category, and those that are drawn for that."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,13 +64,13 @@ class EpisodePool:
     episodes: list[PooledEpisode] = field(default_factory=list)
     candidates: Counter[InstructionCell | None] = field(default_factory=Counter)
     rejections: Counter[tuple[InstructionCell | None, str]] = field(default_factory=Counter)
-    examples: dict[tuple[InstructionCell | None, str], str] = field(default_factory=dict)
+    examples: dict[tuple[InstructionCell | None, str], Candidate] = field(default_factory=dict)
 
     def reject(self, candidate: Candidate, reason: str) -> None:
-        """Count one rejection and keep the first rejected id as an example."""
+        """Count one rejection and keep the first rejected candidate as an example."""
         key = (candidate.cell, reason)
         self.rejections[key] += 1
-        self.examples.setdefault(key, candidate.instruction_id)
+        self.examples.setdefault(key, candidate)
 
     def reject_collisions(self, scene_id: str) -> None:
         """Drop episodes whose id collides with that of another episode of the scene, together with their counterfactual
@@ -85,21 +93,49 @@ class EpisodePool:
         return Counter(episode.candidate.cell for episode in self.episodes)
 
 
+class Supply(Protocol):
+    """Draws candidates when they are wanted; see ``candidates.CandidateSupply``."""
+
+    @property
+    def labels(self) -> int:
+        """Number of labels that leaves of the scene can have."""
+        ...
+
+    @property
+    def group_leaves(self) -> float:
+        """Mean number of leaves of all programs of a counterfactual group."""
+        ...
+
+    def group(self) -> Sequence[Candidate]:
+        """Return the next counterfactual group; empty if there are no more."""
+        ...
+
+    def more(
+        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
+    ) -> Sequence[Candidate]:
+        """Return about `count` further candidates of a cell; empty if it is exhausted.
+
+        golds : wanted gold leaves
+        moves : wanted shares of leaves with 1, 2, … moves; None if any will do
+        """
+        ...
+
+
 def fill_pool(
-    candidates: Iterable[Candidate],
+    supply: Supply,
     placer: Placer,
     cells: Sequence[InstructionCell],
     label_cap: float,
     names_compass: Callable[[Program], bool],
     observer: Observer | None = None,
     groups: int = 0,
-    move_shares: Callable[[Category], Sequence[float]] | None = None,
+    move_shares: MoveShares | None = None,
 ) -> EpisodePool:
-    """Place candidates until every cell has the wanted number of episodes.
+    """Draw candidates and place them, until every cell has the wanted number of episodes or is exhausted.
 
     Within a cell no gold index gets more than its equal share, so that the position of a leaf carries no information.
     `label_cap` limits the share of leaves with one target label, as far as possible (``label_share``); episodes dropped
-    for it make room for rejected candidates. The programs of a counterfactual group are placed together from one start,
+    for it make room for other candidates. The programs of a counterfactual group are placed together from one start,
     before all others, or not at all. A cell that stays short rejects no candidate as `quota_full`.
 
     Parameters
@@ -107,28 +143,16 @@ def fill_pool(
     cells, groups : cells and number of counterfactual groups wanted of the scene
     names_compass : whether a program's text names the start heading
     observer : computes the observability; if None, none is recorded and no cell may ask for one
-    move_shares : wanted shares of leaves with 1, 2, … moves by category. Long routes are rejected more often, so the
-        next candidate of a cell is always one that brings the cell's leaves nearest to these shares; None tries the
-        candidates in order
+    move_shares : wanted and drawn shares of leaves with 1, 2, … moves by category. Long routes are rejected more often,
+        so those that a cell lacks are drawn, and its next candidate is always the one that brings the cell's leaves
+        nearest to the wanted shares; None tries the candidates in order
     """
-    queue = list(candidates)
-    members: defaultdict[str, list[Candidate]] = defaultdict(list)
-    for candidate in queue:
-        if candidate.group_id is not None:
-            members[candidate.group_id].append(candidate)
-    wanted = sum(cell.count * SHAPES[cell.category].leaves for cell in cells)
-    if members:
-        leaves = [len(c.program.leaves) for group in members.values() for c in group]
-        wanted += round(groups * sum(leaves) / len(members))
-    number = _Numbers().of_program
-    together = [*members.values(), *([c] for c in queue if c.cell is not None)]
-    tries = [_Try(group, {number(c.program) for c in group}) for group in together]
-    labels = {label for one in tries for label in one.all_labels}
-    most_of_label = most_leaves(allowed_share(label_cap, len(labels)), wanted)
-    filling = _Filling(placer, groups, names_compass, observer, cells, move_shares)
-    filling.fill(tries, most_of_label)
-    filling.trim(tries, label_cap)
-    return filling.pool(tries)
+    wanted = sum(cell.count * SHAPES[cell.category].leaves for cell in cells) + round(groups * supply.group_leaves)
+    most_of_label = most_leaves(allowed_share(label_cap, supply.labels), wanted)
+    filling = _Filling(supply, placer, groups, names_compass, observer, cells, move_shares)
+    filling.fill(lambda _: most_of_label)
+    filling.trim(label_cap)
+    return filling.pool()
 
 
 class _Numbers:
@@ -154,6 +178,11 @@ class _Numbers:
         if found is None:
             found = self._by_identity[id(part)] = self._by_value.setdefault(part, len(self._by_value))
         return found
+
+
+def _golds_of_each(cell: InstructionCell) -> int:
+    """Return how many episodes of a cell may have the same gold leaf."""
+    return -(-cell.count // SHAPES[cell.category].leaves)
 
 
 class _Try:
@@ -189,6 +218,9 @@ class _Try:
         return [Counter(leaf.goal.label for leaf in member.program.leaves) for member in self.members]
 
 
+_Waiting: TypeAlias = dict[tuple[tuple[int, int], ...], deque[_Try]]
+
+
 @lru_cache(maxsize=4096)
 def _counted(moves: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
     """Return the pairs of a number of moves and the number of leaves that have it, ascending."""
@@ -196,16 +228,26 @@ def _counted(moves: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
 
 
 class _Filling:
+    """Fills the cells one after the other.
+
+    tries : all candidates drawn so far, in their order
+    untried : of each cell those that wait for their turn, by how many of their leaves have 1, 2, … moves
+    """
+
     def __init__(
         self,
+        supply: Supply,
         placer: Placer,
         groups: int,
         names_compass: Callable[[Program], bool],
         observer: Observer | None,
         cells: Sequence[InstructionCell],
-        move_shares: Callable[[Category], Sequence[float]] | None,
+        move_shares: MoveShares | None,
     ) -> None:
-        self._move_shares = move_shares
+        self._supply, self._cells, self._move_shares = supply, cells, move_shares
+        self._tries: list[_Try] = []
+        self._untried: dict[InstructionCell | None, _Waiting] = {cell: {} for cell in (None, *cells)}
+        self._number = _Numbers().of_program
         self._moves: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._group_moves: defaultdict[Category, Counter[int]] = defaultdict(Counter)
         self._free = Counter[Category]()
@@ -220,39 +262,47 @@ class _Filling:
         self._seen: set[int] = set()
         self._changes = 0
 
-    def fill(self, tries: Sequence[_Try], most_of_label: int) -> None:
-        """Place candidates, in the order of `_in_turn`."""
-        for one in self._in_turn(tries):
-            one.refused = self._turned_away(one, most_of_label) or self._unplaceable(one)
-            if one.refused is None:
-                self._count(one, 1)
-
-    def trim(self, tries: Sequence[_Try], label_cap: float) -> None:
-        """Drop episodes so that no label exceeds its share. Then place rejected candidates whose reason, such as a full
-        quota, no longer applies.
+    def fill(self, most_of_label: Callable[[_Try], int]) -> int:
+        """Place groups, then candidates of each cell, and return how many were placed. `most_of_label` is how many
+        leaves may have the same label once a candidate is placed.
         """
-        placed = [one for one in tries if one.refused is None]
-        share = allowed_share(label_cap, len(self._labels))
-        dropped = over_share([one.labels for one in placed], label_cap)
-        for k in dropped:
-            placed[k].refused = "label_over_cap"
-            self._count(placed[k], -1)
-        refilling = bool(dropped)
-        while refilling:
-            refilling = False
-            for one in self._in_turn([one for one in tries if one.refused in PASSING]):
-                most = most_leaves(share, self._labels.total() + one.targets.total())
-                reason = self._turned_away(one, most) or self._unplaceable(one)
-                # A dropped episode keeps the reason "label_over_cap", even if its quota is full by now.
-                one.refused = "label_over_cap" if reason and one.placement else reason
-                if reason is None:
+        placed = 0
+        for cell in (None, *self._cells):
+            for one in self._in_turn(cell):
+                one.refused = self._turned_away(one, most_of_label(one)) or self._unplaceable(one)
+                if one.refused is None:
                     self._count(one, 1)
-                    refilling = True
+                    placed += 1
+        for waiting in self._untried.values():
+            for one in chain.from_iterable(waiting.values()):
+                one.refused = self._turned_away(one, most_of_label(one))
+        return placed
 
-    def pool(self, tries: Sequence[_Try]) -> EpisodePool:
+    def trim(self, label_cap: float) -> None:
+        """Drop episodes so that no label exceeds its share. Then place rejected candidates whose reason, such as a full
+        quota, no longer applies, and others that are drawn in their place.
+        """
+        placed = [one for one in self._tries if one.refused is None]
+        share = allowed_share(label_cap, len(self._labels))
+        dropped = [placed[k] for k in over_share([one.labels for one in placed], label_cap)]
+        for one in dropped:
+            one.refused = "label_over_cap"
+            self._count(one, -1)
+        found = len(dropped)
+        while found:
+            self._untried = {cell: {} for cell in self._untried}
+            for one in self._tries:
+                if one.refused in PASSING:
+                    self._wait(one)
+            found = self.fill(lambda one: most_leaves(share, self._labels.total() + one.targets.total()))
+        for one in dropped:  # a dropped episode keeps its reason, even if its quota is full by now
+            if one.refused is not None:
+                one.refused = "label_over_cap"
+
+    def pool(self) -> EpisodePool:
         """Return the pool, with the observability of each episode."""
         pool = EpisodePool()
-        for one in tries:
+        for one in self._tries:
             pool.candidates[one.cell] += len(one.members)
             if one.refused is not None:
                 for member in one.members:
@@ -277,48 +327,95 @@ class _Filling:
         cell = one.cell
         if not self._seen.isdisjoint(one.programs):
             return "program_placed"
-        if cell is None:
-            if self._groups >= self._groups_wanted:
-                return "quota_full"
-        elif self._taken[cell] >= cell.count:
+        if self._is_full(cell):
             return "quota_full"
-        elif self._golds[cell][one.gold] >= -(-cell.count // len(one.members[0].program.leaves)):
+        if cell is not None and self._golds[cell][one.gold] >= _golds_of_each(cell):
             return "gold_leaf_full"
         if any(self._labels[label] + count > most_of_label for label, count in one.targets.items()):
             return "label_over_cap"
         return None
 
-    def _in_turn(self, tries: Iterable[_Try]) -> Iterator[_Try]:
-        """Yield `tries` cell by cell, counterfactual groups first. Within a cell, each next one is the one that brings
-        the cell's shares of leaves with 1, 2 or 3 moves nearest to the wanted shares, given what the caller has placed
-        so far. In case of a tie, it is the one whose numbers of moves occurred first in the cell.
+    def _is_full(self, cell: InstructionCell | None) -> bool:
+        """Return whether a cell has all of its episodes; for None, whether there are all counterfactual groups."""
+        return self._groups >= self._groups_wanted if cell is None else self._taken[cell] >= cell.count
+
+    def _in_turn(self, cell: InstructionCell | None) -> Iterator[_Try]:
+        """Yield candidates of a cell (groups for None) until it is full or exhausted. Each next one is the one that
+        brings the cell's shares of leaves with 1, 2 or 3 moves nearest to the wanted shares, given what the caller has
+        placed so far. In case of a tie, it is the one whose numbers of moves occurred first in the cell.
         """
-        cells: dict[InstructionCell | None, dict[tuple[tuple[int, int], ...], deque[_Try]]] = {None: {}}
-        for one in tries:
-            free = self._move_shares is not None and one.cell is not None and one.cell.moves is None
-            moves = one.moves if free else ()
-            cells.setdefault(one.cell, {}).setdefault(moves, deque()).append(one)
-        for cell, alike in cells.items():
-            while alike:
-                nearest, changes = next(iter(alike)), self._changes
-                if cell is not None and len(alike) > 1:
-                    nearest = min(alike, key=self._distances(cell))
-                while changes == self._changes and nearest in alike:  # until the caller places one
-                    yield alike[nearest].popleft()
-                    if not alike[nearest]:
-                        del alike[nearest]
+        alike, drawn_at = self._untried[cell], -1
+        while not self._is_full(cell) and (alike or self._draw(cell)):
+            nearest, changes = next(iter(alike)), self._changes
+            if cell is not None and self._is_free(cell):
+                distances = self._distances(cell)
+                nearest = min(alike, key=distances)
+                # What is left over from the last draws may have the wrong moves.
+                if drawn_at != changes and distances(nearest) > MOVES_OFF**2:
+                    drawn_at = changes
+                    if self._draw(cell):
+                        nearest = min(alike, key=distances)
+            while changes == self._changes and nearest in alike:  # until the caller places one
+                one = alike[nearest].popleft()
+                if not alike[nearest]:
+                    del alike[nearest]
+                yield one
+
+    def _draw(self, cell: InstructionCell | None) -> bool:
+        """Draw a group, or a few more candidates than a cell still needs. Return whether there are any."""
+        if cell is None:
+            group = self._supply.group()
+            found = [group] if group else []
+        else:
+            most, taken = _golds_of_each(cell), self._golds[cell]
+            golds = [k for k in range(SHAPES[cell.category].leaves) for _ in range(most - taken[k])]
+            count = math.ceil(DRAWN_PER_PLACE * (cell.count - self._taken[cell]))
+            found = [[one] for one in self._supply.more(cell, count, golds, self._lacking(cell))]
+        for members in found:
+            one = _Try(members, {self._number(member.program) for member in members})
+            self._tries.append(one)
+            self._wait(one)
+        return bool(found)
+
+    def _wait(self, one: _Try) -> None:
+        """Let a candidate wait for its turn."""
+        moves = one.moves if one.cell is not None and self._is_free(one.cell) else ()
+        self._untried[one.cell].setdefault(moves, deque()).append(one)
+
+    def _is_free(self, cell: InstructionCell) -> bool:
+        """Return whether leaves of a cell have different numbers of moves, whose shares are wanted."""
+        return self._move_shares is not None and cell.moves is None
+
+    def _held(self, cell: InstructionCell) -> list[float]:
+        """Return how many leaves with 1, 2, … moves a cell has, its part of those of the category's counterfactual
+        groups included, which the cell makes up for.
+        """
+        assert self._move_shares is not None
+        wanted, _ = self._move_shares(cell.category)
+        part, grouped, own = cell.count / self._free[cell.category], self._group_moves[cell.category], self._moves[cell]
+        return [own[n] + part * grouped[n] for n in range(1, len(wanted) + 1)]
+
+    def _lacking(self, cell: InstructionCell) -> list[float] | None:
+        """Return the shares of leaves with 1, 2, … moves to draw, so that a cell gets the wanted ones; None if any will
+        do. What is rejected more often than other leaves is drawn more often.
+        """
+        if self._move_shares is None or not self._is_free(cell):
+            return None
+        (wanted, drawn), held = self._move_shares(cell.category), self._held(cell)
+        leaves = sum(held) + SHAPES[cell.category].leaves * (cell.count - self._taken[cell])
+        weights = [
+            max(0.0, share * leaves - count) * often / share if share else 0.0
+            for share, often, count in zip(wanted, drawn, held, strict=True)
+        ]
+        return [weight / sum(weights) for weight in weights] if any(weights) else list(drawn)
 
     def _distances(self, cell: InstructionCell) -> Callable[[Iterable[tuple[int, int]]], float]:
         """Return a function that says how far the leaves of a cell are from the wanted shares after leaves with given
         moves are added: the sum, over the numbers of moves, of squared numbers of leaves. Moves are pairs of a number
         of moves and a number of leaves.
-
-        The cell makes up for its part of the leaves of the category's counterfactual groups.
         """
         assert self._move_shares is not None
-        part, grouped, own = cell.count / self._free[cell.category], self._group_moves[cell.category], self._moves[cell]
-        shares = self._move_shares(cell.category)
-        held = [own[n] + part * grouped[n] for n in range(1, len(shares) + 1)]
+        (shares, _), held = self._move_shares(cell.category), self._held(cell)
 
         def distance(moves: Iterable[tuple[int, int]]) -> float:
             counts = held.copy()

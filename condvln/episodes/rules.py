@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["REASONS"]
+__all__ = ["DRAWING", "PLACING", "REASONS"]
+
+DRAWING: Final = "programs"
+PLACING: Final = "episodes"
+"""What rejects, in the column ``stage`` of the rejections table: draws of programs that fail, and candidates that can't
+be placed.
+"""
 
 REASONS: Final[dict[str, str]] = {
     "no_heading": "no start in the room has objects to the left, right, front and back as the text states",
@@ -28,4 +34,4 @@ REASONS: Final[dict[str, str]] = {
     "no_navmesh": "the scene has no navmesh to place episodes on",
     "no_start": "no navigable start on an island wide enough",
 }
-"""All reasons that the placing stage counts in the rejections table."""
+"""All reasons for which placing rejects a candidate, as counted in the rejections table."""

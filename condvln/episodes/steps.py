@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
-from condvln.episodes.candidates import Candidate, draw_candidates
+from condvln.episodes.candidates import Candidate, CandidateSupply, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals, wide_islands
 from condvln.episodes.graph_placing import GraphPlacer, NotOnGraph, viewpoint_stops
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer, reachable_stops
 from condvln.episodes.pool import EpisodePool, fill_pool
-from condvln.episodes.routes import GoalField
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import Visibility, scene_visibility
 from condvln.instructions import (
@@ -46,7 +42,18 @@ from schemas.config import (
 )
 from schemas.program import Program
 
-__all__ = ["DrawnPrograms", "Walkable", "draw_programs", "look_around", "place_programs", "published_texts"]
+__all__ = [
+    "DrawnPrograms",
+    "PlacedPrograms",
+    "Walkable",
+    "draw_programs",
+    "look_around",
+    "place_programs",
+    "published_texts",
+]
+
+
+Rejections: TypeAlias = Counter[tuple[InstructionCell | None, str]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,15 +69,23 @@ class Walkable:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnPrograms:
-    """Candidate programs in the order in which placing tries them.
+    """Candidate programs of a scene in which none is placed.
 
-    goals : goal points (k, 3) by object id, of the objects that text can name; empty without a navmesh
     rejections : number of failed draws by cell and reason
     """
 
-    goals: Mapping[str, NDArray[np.float64]]
     candidates: list[Candidate]
-    rejections: Counter[tuple[InstructionCell | None, str]]
+    rejections: Rejections
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlacedPrograms:
+    """The episodes of a scene with the candidates that could not be placed, and the number of failed draws by cell and
+    reason.
+    """
+
+    pool: EpisodePool
+    rejections: Rejections
 
 
 def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
@@ -86,47 +101,33 @@ def draw_programs(
     scene: Scene,
     facts: Mapping[str, TextFacts],
     bits: PriorBits,
-    walkable: Walkable | None,
     sightings: Sightings,
     *,
     instructions: InstructionsConfig,
     sampling: SamplingConfig,
     places: PlacesConfig,
-    goals: GoalsConfig,
     preamble: bool,
     seed: int,
     graph: GraphPathfinder | None = None,
 ) -> DrawnPrograms:
-    """Draw the candidate programs of a scene.
+    """Draw the candidate programs of a scene without a navmesh.
 
-    Without ``walkable`` and ``graph``, the distance between objects is that of their centres.
+    Without ``graph``, the distance between objects is that of their centres.
 
     Parameters
     ----------
     facts : what text may state about pairs of objects, by room id
-    graph : viewpoint graph of a scan without a navmesh
+    graph : viewpoint graph of a scan
     """
-    goal_points: dict[str, NDArray[np.float64]] = {}
     placer: GraphPlacer | None = None
     # Samplers by what defines the distance between objects; each fills the cells that the previous ones left short.
-    ways: list[Stops | Callable[[frozenset[str]], Stops]] = [apart_by_centres(scene, places)]
-    if walkable is not None:
-
-        def reachable(named: frozenset[str]) -> Stops:
-            pathfinder = walkable.pathfinder
-            obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
-            goal_points.update(scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view, named))
-            separation = places.leaf_separation(scene.single_room)
-            return reachable_stops(pathfinder, GoalField(pathfinder, goal_points), separation)
-
-        ways = [reachable]
-    elif graph is not None:
+    ways = [apart_by_centres(scene, places)]
+    if graph is not None:
         # If too few objects have a viewpoint, some instructions are published without episodes.
         ways.insert(0, viewpoint_stops(scene, graph))
         placer = GraphPlacer(scene, graph, seed)
-    # Leaves are checked before one of them is drawn as gold, so that the check can't favour a truth.
     candidates: list[Candidate] = []
-    rejections: Counter[tuple[InstructionCell | None, str]] = Counter()
+    rejections: Rejections = Counter()
     for stops in ways:
         sampler = ProgramSampler(
             scene,
@@ -137,7 +138,7 @@ def draw_programs(
             seed,
             stops=stops,
             preamble=preamble,
-            placed=walkable is not None,
+            placed=False,
             sightings=sightings,
         )
         drawn = draw_candidates(sampler)
@@ -146,18 +147,16 @@ def draw_programs(
             drawn, refused = _placeable(drawn, placer)
             rejections += refused
         candidates = _filled(candidates, drawn) if candidates else drawn
-    return DrawnPrograms(goal_points, candidates, rejections)
+    return DrawnPrograms(candidates, rejections)
 
 
-def _placeable(
-    candidates: list[Candidate], placer: GraphPlacer
-) -> tuple[list[Candidate], Counter[tuple[InstructionCell | None, str]]]:
+def _placeable(candidates: list[Candidate], placer: GraphPlacer) -> tuple[list[Candidate], Rejections]:
     """Return the candidates that can be placed on the viewpoints, and the numbers of rejections by cell and reason.
     Counterfactual groups are kept or dropped whole.
 
     Every leaf is checked as if it were gold, so that the selection is independent of the truth.
     """
-    refused: Counter[tuple[InstructionCell | None, str]] = Counter()
+    refused: Rejections = Counter()
     lost: set[str] = set()
     groups: set[str | None] = set()
     for candidate in candidates:
@@ -190,44 +189,62 @@ def _filled(candidates: list[Candidate], others: list[Candidate]) -> list[Candid
 
 def place_programs(
     scene: Scene,
-    candidates: Iterable[Candidate],
-    goals: Mapping[str, NDArray[np.float64]],
+    facts: Mapping[str, TextFacts],
+    bits: PriorBits,
     walkable: Walkable,
     sightings: Sightings,
     *,
     instructions: InstructionsConfig,
     sampling: SamplingConfig,
     places: PlacesConfig,
+    goals: GoalsConfig,
     rules: EpisodeConfig,
     thresholds: Thresholds,
     preamble: bool,
     seed: int,
-) -> EpisodePool:
-    """Place the candidates and return the episodes and the rejections."""
-    placer = Placer(
-        scene,
-        walkable.pathfinder,
-        goals,
-        places,
-        rules,
-        seed,
-        max_climb=walkable.max_climb,
-        thresholds=thresholds,
-        sightings=sightings,
+) -> PlacedPrograms:
+    """Draw candidate programs of a scene and place them, until each cell has the wanted episodes or is exhausted.
+
+    Parameters
+    ----------
+    facts : what text may state about pairs of objects, by room id
+    """
+    pathfinder, placers = walkable.pathfinder, list[Placer]()
+
+    def reachable(named: frozenset[str]) -> Stops:
+        obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
+        points = scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view, named)
+        placer = Placer(
+            scene,
+            pathfinder,
+            points,
+            places,
+            rules,
+            seed,
+            max_climb=walkable.max_climb,
+            thresholds=thresholds,
+            sightings=sightings,
+        )
+        placers.append(placer)
+        return reachable_stops(pathfinder, placer.field, placer.leaf_separation)
+
+    # Leaves are checked before one of them is drawn as gold, so that the check can't favour a truth.
+    sampler = ProgramSampler(
+        scene, facts, bits, instructions, sampling, seed, stops=reachable, preamble=preamble, sightings=sightings
     )
-    observer = Observer(scene, walkable.view, walkable.pathfinder, places, rules, placer.obstacles, sightings=sightings)
+    (placer,) = placers
     pool = fill_pool(
-        candidates,
+        CandidateSupply(sampler),
         placer,
         instructions.wanted,
         instructions.label_cap,
         lambda program: preamble and names_compass(program),
-        observer,
+        Observer(scene, walkable.view, pathfinder, places, rules, placer.obstacles, sightings=sightings),
         instructions.counterfactual_groups,
-        sampling.move_shares,
+        lambda category: (sampling.move_shares(category), sampling.drawn_move_shares(category)),
     )
     pool.reject_collisions(scene.scene_id)
-    return pool
+    return PlacedPrograms(pool, sampler.rejections)
 
 
 def published_texts(

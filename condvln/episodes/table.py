@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from condvln.episodes.candidates import cell_name
+from condvln.episodes.candidates import Candidate, cell_name
 from condvln.episodes.identity import content_hash, numeric_id
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
@@ -22,13 +22,10 @@ from schemas.tables import EPISODES, FUNNEL, QUATERNION, REJECTIONS, VEC3
 
 __all__ = [
     "PLACEMENTS",
-    "STOPS",
     "TEXT_COLUMNS",
     "funnel_table",
-    "goals_from_table",
     "placements_table",
     "rejections_table",
-    "stops_table",
     "with_text",
 ]
 
@@ -37,33 +34,6 @@ PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS
 """Schema of the episodes table without the columns that depend on the wording."""
 
 _POINTS: Final = pa.list_(VEC3)
-
-STOPS: Final = pa.schema(
-    [
-        pa.field("scene_id", pa.string(), nullable=False),
-        pa.field("object_id", pa.string(), nullable=False),
-        pa.field("points", _POINTS, nullable=False),
-    ]
-)
-"""Schema of the goal points of every reachable object that text can name, nearest first; stored in the unit, not
-published."""
-
-
-def stops_table(scene_id: str, goals: Mapping[str, NDArray[np.float64]]) -> pa.Table:
-    """Return goal points (k, 3) by object id as STOPS rows."""
-    points = _lists(_POINTS, list(map(len, goals.values())), _points(_stacked(list(goals.values()))))
-    names = [[scene_id] * len(goals), list(goals)]
-    return pa.table([*(pa.array(values, pa.string()) for values in names), points], schema=STOPS)
-
-
-def goals_from_table(table: pa.Table) -> dict[str, NDArray[np.float64]]:
-    """Return the goal points (k, 3) by object id from STOPS rows, in the table's order."""
-    if not table.num_rows:
-        return {}
-    lists = table["points"].combine_chunks()
-    points = np.column_stack([axis.to_numpy(zero_copy_only=False) for axis in lists.flatten().flatten()])
-    ends = np.cumsum(lists.value_lengths().to_numpy(zero_copy_only=False), dtype=np.int64)
-    return dict(zip(table["object_id"].to_pylist(), np.split(np.ascontiguousarray(points), ends[:-1]), strict=True))
 
 
 def placements_table(
@@ -215,9 +185,9 @@ def rejections_table(
     scene_id: str,
     stage: str,
     counts: Mapping[tuple[InstructionCell | None, str], int],
-    examples: Mapping[tuple[InstructionCell | None, str], str] | None = None,
+    examples: Mapping[tuple[InstructionCell | None, str], Candidate] | None = None,
 ) -> pa.Table:
-    """Return the numbers of rejections, `counts`, as REJECTIONS rows. `examples` has one rejected program's id for each
+    """Return the numbers of rejections, `counts`, as REJECTIONS rows. `examples` has one rejected candidate for each
     (cell, reason).
     """
     rows = [
@@ -228,7 +198,7 @@ def rejections_table(
             "cell": cell_name(cell),
             "reason": reason,
             "count": count,
-            "example": (examples or {}).get((cell, reason)),
+            "example": examples[cell, reason].instruction_id if examples and (cell, reason) in examples else None,
         }
         for (cell, reason), count in sorted(counts.items(), key=lambda item: (item[0][1], cell_name(item[0][0])))
     ]

@@ -7,7 +7,7 @@ from condvln.instructions.programs import instruction_id, oracle_linear, program
 from condvln.instructions.rendering import names_compass, render, render_moves, voice_of, with_preamble
 from condvln.instructions.sampling import ProgramSampler
 from condvln.instructions.stops import Stops, apart_by_centres
-from condvln.instructions.tables import instruction_table, programs_from_table
+from condvln.instructions.tables import instruction_table, instructions_with_text, programs_from_table
 from condvln.instructions.text_reading import Reading, reading_of
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "group_id",
     "instruction_id",
     "instruction_table",
+    "instructions_with_text",
     "names_compass",
     "oracle_linear",
     "parse",

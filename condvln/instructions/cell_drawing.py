@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -98,6 +100,7 @@ class CellDrawing:
         """
         found, numbers = self._found, self._state.numbers
         begin = int(numbers[FOUND])
+        numbers[SEEN] = self._seen.count  # other cells of the category may have drawn meanwhile
         statements = self._conditions.numbered.tables
 
         def kernel(stream: NDArray[np.float64], left: I64) -> None:
@@ -136,6 +139,16 @@ class CellDrawing:
                 *(column[begin:end].tolist() for column in columns), strict=True
             )
         ]
+
+    def aim(self, golds: Sequence[int], move_shares: Sequence[float]) -> None:
+        """Let the next candidates have the gold leaves `golds`, dealt in a random order, and leaves with 1, 2, …
+        moves in the shares `move_shares`.
+        """
+        dealt, sums = np.array(golds, np.int64), np.array(tuple(accumulate(move_shares)), np.float64)
+        self._wanted = self._wanted._replace(golds=dealt, move_sums=sums)
+        if len(dealt) > len(self._state.golds):
+            self._state = self._state._replace(golds=np.zeros(len(dealt), np.int64))
+        self._state.numbers[GOLDS] = 0
 
     def refuse(self) -> None:
         """Take the last candidate back: its shape is tried again as long as it has draws left."""

@@ -177,35 +177,48 @@ class ProgramSampler:
         """Yield up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, with their
         cells.
         """
-        cells = self.wanted.cells_of(category)
-        seen = self._seen(category, sum(map(self.sampling.candidates, cells)))
-        for cell in cells:
-            for program in self._drawn(cell, seen):
-                yield cell, program
+        seen = self.nothing_seen(category)
+        for cell in self.wanted.cells_of(category):
+            drawing = self.drawing(cell, seen)
+            if drawing is not None:
+                for program in self.programs(cell, drawing, self.sampling.candidates(cell)):
+                    yield cell, program
+
+    def nothing_seen(self, category: Category) -> Seen:
+        """Return what the drawings of the cells of a category share, so that all of their programs are distinct."""
+        return self._seen(category, sum(map(self.sampling.candidates, self.wanted.cells_of(category))))
 
     def _seen(self, category: Category, most: int) -> Seen:
         """Return that nothing is seen yet of at most so many candidates of a category."""
         shape = SHAPES[category]
         return Seen(most, shape.leaves, len(shape.branches), len(self.stop_sampler.labels))
 
-    def _drawn(self, cell: InstructionCell, seen: Seen) -> Iterator[Program]:
+    def drawing(self, cell: InstructionCell, seen: Seen) -> CellDrawing | None:
+        """Return a drawing of at most ``sampling.candidates(cell)`` candidates of a cell, for `programs`. Return None,
+        and count the reason, if the scene has none.
+        """
         category, wanted = cell.category, self.sampling.candidates(cell)
         reasons = self._reasons.setdefault(cell, Counter())
-        if wanted and not self.condition_sampler.rooms:
+        if not wanted:
+            return None
+        if not self.condition_sampler.rooms:
             reasons["nothing_to_ask"] += 1
-            return
+            return None
+        if not self.stop_sampler.fits(SHAPES[category].leaves):
+            reasons["no_targets"] += 1
+            return None
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
-        if wanted and not self.stop_sampler.fits(SHAPES[category].leaves):
-            reasons["no_targets"] += 1
-            return
-        if not wanted:
-            return
         kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category))
-        drawing = self._drawing(category, kind, wanted, draws, seen)
+        return self._drawing(category, kind, wanted, draws, seen)
+
+    def programs(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Program]:
+        """Yield the next `count` programs of a cell's drawing, fewer if it is exhausted."""
+        category, reasons = cell.category, self._reasons[cell]
         # Only the number of words is decided here, so that candidates of other cells are drawn all at once.
-        step = wanted if cell.words is None else 1
-        while found := drawing.draw(step, reasons):
+        step = count if cell.words is None else 1
+        while count > 0:
+            found = drawing.draw(min(step, count), reasons)
             for one in found:
                 program = self._program(category, one)
                 try:
@@ -214,7 +227,10 @@ class ProgramSampler:
                     reasons[given_up.reason] += 1
                     drawing.refuse()
                 else:
+                    count -= 1
                     yield program
+            if len(found) < step:
+                return
 
     def _drawing(self, category: Category, wanted: WantedCell, most: int, draws: Draws, seen: Seen) -> CellDrawing:
         """Return a drawing of at most `most` candidates of a cell."""
@@ -245,6 +261,7 @@ class ProgramSampler:
             roomy_sizes=roomy_sizes,
             move_sums=np.array(tuple(accumulate(moves)), np.float64),
             moves=cell.moves or 0,
+            golds=np.arange(len(truths)),
             truths=padded,
             truth_sizes=np.array([len(rows) for rows in truths], np.int64),
             asked=asked,

@@ -13,7 +13,7 @@ from condvln.instructions.programs import branch_documents, composition, conditi
 from schemas.program import Condition, Leaf, Program
 from schemas.tables import INSTRUCTIONS
 
-__all__ = ["instruction_table", "programs_from_table"]
+__all__ = ["instruction_table", "instructions_with_text", "programs_from_table"]
 
 T = TypeVar("T")
 
@@ -21,24 +21,17 @@ T = TypeVar("T")
 def instruction_table(
     scene_id: str,
     programs: Iterable[tuple[str, Program]],
-    texts: Mapping[str, str] | None = None,
-    groups: Mapping[str, str | None] | None = None,
 ) -> pa.Table:
-    """Return `programs` as INSTRUCTIONS rows, in the given order.
-
-    Parameters
-    ----------
-    programs : (instruction id, program)
-    texts, groups : text and counterfactual group by instruction id; null if missing
+    """Return `programs`, pairs of instruction id and program, as INSTRUCTIONS rows in the given order, without text and
+    counterfactual group.
     """
     given = list(programs)
     names, found = [name for name, _ in given], [program for _, program in given]
     golds = [program.gold_leaf() for program in found]
-    said = [(texts or {}).get(name) for name in names]
     columns: dict[str, Any] = {
         "scene_id": [scene_id] * len(names),
         "instruction_id": names,
-        "group_id": [(groups or {}).get(name) for name in names],
+        "group_id": [None] * len(names),
         "category": [program.category for program in found],
         "depth": [program.depth for program in found],
         "chain": [program.chain for program in found],
@@ -53,14 +46,31 @@ def instruction_table(
             [program.branches for program in found], branch_documents, INSTRUCTIONS.field("branches").type
         ),
         "leaves": _leaves([program.leaves for program in found]),
-        "text": said,
-        "words": [None if text is None else len(text.split()) for text in said],
+        "text": [None] * len(names),
+        "words": [None] * len(names),
     }
     arrays = [
         column if isinstance(column, pa.Array) else pa.array(column, field.type)
         for field, column in zip(INSTRUCTIONS, (columns[name] for name in INSTRUCTIONS.names), strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=INSTRUCTIONS)
+
+
+def instructions_with_text(table: pa.Table, texts: Mapping[str, str], groups: Mapping[str, str | None]) -> pa.Table:
+    """Return INSTRUCTIONS rows with their text, number of words, and counterfactual group, by instruction id; null if
+    missing.
+    """
+    names = table["instruction_id"].to_pylist()
+    said = [texts.get(name) for name in names]
+    new: dict[str, list[Any]] = {
+        "group_id": [groups.get(name) for name in names],
+        "text": said,
+        "words": [None if text is None else len(text.split()) for text in said],
+    }
+    arrays = [
+        pa.array(new[field.name], field.type) if field.name in new else table[field.name] for field in INSTRUCTIONS
+    ]
+    return pa.table(arrays, schema=INSTRUCTIONS)
 
 
 def _conditions(rows: Sequence[Sequence[Condition]]) -> pa.Array:

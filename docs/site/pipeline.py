@@ -18,8 +18,7 @@ WORK = {
     "counts": ("condvln/instructions", "how often what is true"),
     "relations": ("condvln/relations", "distances, predicates"),
     "visibility": ("condvln/episodes", "what can be seen"),
-    "programs": ("condvln/instructions", "decision trees"),
-    "episodes": ("condvln/episodes", "starts, goals, paths"),
+    "episodes": ("condvln/episodes", "decision trees, paths"),
     "text": ("condvln/instructions", "words"),
 }
 """The folder of each stage's code, and what the stage finds."""
@@ -62,7 +61,7 @@ def figure() -> str:
     column = {stage.name: LEFT + at * (BOX + GAP) for at, stage in enumerate(pipeline.stages)}
     parts.append(box(LEFT, 20, BOX, 64, ["native files", "ReplicaCAD, ProcTHOR,", "Matterport3D, …"], "#eceff1"))
     parts.append(arrow((LEFT + BOX / 2, 84), (LEFT + BOX / 2, 138)))
-    priors = column["programs"]
+    priors = column["episodes"]
     parts.append(box(priors, 20, BOX, 64, ["priors", "labels usual in a room,", "over all scenes"], "#fff3e0"))
     parts.append(
         arrow(

@@ -1,12 +1,12 @@
 """The stages of a scene: each wraps functions of `condvln` for the factory.
 
-scene → counts → relations → visibility → programs → episodes → text. What a stage computes is decided in ``condvln``;
+scene → counts → relations → visibility → episodes → text. What a stage computes is decided in ``condvln``;
 here is only what it reads, what it is keyed on, and where its rows go. A change of what a stage makes
 for equal inputs must raise its ``version``; a golden test holds that.
 """
 
+from jobs.stages.counts import CountStage, PriorsAggregate
 from jobs.stages.episodes import EpisodeStage
-from jobs.stages.programs import CountStage, PriorsAggregate, ProgramStage
 from jobs.stages.scene import RelationStage, SceneStage
 from jobs.stages.text import TextStage
 from jobs.stages.visibility import VisibilityStage
@@ -15,7 +15,6 @@ __all__ = [
     "CountStage",
     "EpisodeStage",
     "PriorsAggregate",
-    "ProgramStage",
     "RelationStage",
     "SceneStage",
     "TextStage",

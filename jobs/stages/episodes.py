@@ -1,116 +1,179 @@
-"""Stage ``episodes``: chooses starts, goal points and paths for programs, and finds what is visible on the way."""
+"""Stage ``episodes``: draws candidate programs and places them on the navmesh until each cell has what is wanted, and
+finds what is visible on the way.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from condvln.episodes.candidates import Candidate, unplaced_programs, unplaced_table
+import pyarrow as pa
+
+from condvln.collector import no_collection
+from condvln.episodes.candidates import unplaced_programs, unplaced_table
 from condvln.episodes.pool import EpisodePool
-from condvln.episodes.steps import place_programs
-from condvln.episodes.table import (
-    PLACEMENTS,
-    funnel_table,
-    goals_from_table,
-    placements_table,
-    rejections_table,
-)
+from condvln.episodes.rules import DRAWING, PLACING
+from condvln.episodes.steps import Rejections, draw_programs, place_programs
+from condvln.episodes.table import PLACEMENTS, funnel_table, placements_table, rejections_table
 from condvln.episodes.visibility import sightings_from_table
+from condvln.instructions import PriorBits, instruction_table
+from condvln.navigation.graph_pathfinder import GraphPathfinder
+from condvln.relations import RoomRelations, TextFacts, text_facts
 from condvln.scene import Scene
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, asked_of, candidates_of, dump, scene_of, walkable_of
+from jobs.stages.inputs import Tables, asked_of, bits_of, dump, keep_programs, scene_of, source_of, walkable_of
+from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
     EpisodeConfig,
+    GoalsConfig,
     InstructionsConfig,
     PlacesConfig,
     SamplingConfig,
     Thresholds,
 )
+from schemas.program import Program
 
 __all__ = ["EpisodeStage"]
 
 
 @dataclass
 class EpisodeStage(Stage):
-    """Candidate programs, navmesh and surfaces → placed episodes with their observability, without text."""
+    """Relations, navmesh and surfaces → placed programs with their paths and observability, without text.
 
+    Its table ``programs`` has the published programs, and an example of each reason for which one was not placed.
+    """
+
+    thresholds: Thresholds
     places: PlacesConfig
     instructions: InstructionsConfig
     sampling: SamplingConfig
+    goals: GoalsConfig
     rules: EpisodeConfig
-    thresholds: Thresholds
     max_climb: float
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 20
-    tables: tuple[str, ...] = ("placements", "unplaced", "rejections", "funnel")
-    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "visibility", "stops", "candidates")
+    version: int = 21
+    tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
+    needs: tuple[str, ...] = ("priors",)
 
     def parameters(self, unit: Unit) -> JSON:
-        return {
+        wording: dict[str, JSON] = {}
+        wanted = asked_of(self.instructions)
+        if any(cell.words for cell in self.instructions.cells):
+            # The number of words is decided by the wording, which is another stage's to change.
+            wording = {"wording": TextStage.version}
+            wanted |= dump(self.instructions.wording)
+        return wording | {
+            "thresholds": dump(self.thresholds),
             "places": dump(self.places),
-            "instructions": asked_of(self.instructions),
-            "sampling": self.sampling.model_dump(mode="json", include={"moves", "moves_four_leaves"}),
+            "instructions": wanted,
+            "sampling": dump(self.sampling),
+            "goals": dump(self.goals),
             "episodes": dump(self.rules),
-            "thresholds": {key: value for key, value in dump(self.thresholds).items() if key.startswith("bearing_")},
             "agent": {"max_climb": self.max_climb},
             "text": {"preamble": self.preamble},
             "seed": self.seed,
         }
 
+    def dependencies(self, unit: Unit, upstream: Tables, shared: Tables) -> JSON:
+        return dict(self._bits(scene_of(unit, upstream), shared).document())
+
+    def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
+        return bits_of(scene, shared["priors"], self.sampling, self.instructions.directions)
+
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        scene = scene_of(unit, upstream)
-        wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
-        candidates = candidates_of(upstream["candidates"], wanted)
-        if scene.navmesh is None:
-            return self._without_navmesh(scene, candidates)
-        walkable = walkable_of(unit, scene, upstream, self.max_climb)
-        assert walkable is not None
-        pool = place_programs(
+        scene, facts = scene_of(unit, upstream), {}
+        for room in scene.rooms:
+            arrays = scene.arrays(room.room_id)
+            relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
+            facts[room.room_id] = text_facts(relations, self.thresholds)
+        bits = self._bits(scene, shared)
+        with no_collection():  # programs are trees; collecting garbage among them takes a tenth of this stage
+            if scene.navmesh is None:
+                return self._without_navmesh(unit, scene, facts, bits, upstream)
+            walkable = walkable_of(unit, scene, upstream, self.max_climb)
+            assert walkable is not None
+            placed = place_programs(
+                scene,
+                facts,
+                bits,
+                walkable,
+                sightings_from_table(upstream["visibility"]),
+                instructions=self.instructions,
+                sampling=self.sampling,
+                places=self.places,
+                goals=self.goals,
+                rules=self.rules,
+                thresholds=self.thresholds,
+                preamble=self.preamble,
+                seed=self.seed,
+            )
+            programs = {episode.instruction_id: episode.program for episode in placed.pool.episodes}
+            return self._output(scene, programs, placed.pool, placed.rejections)
+
+    def _without_navmesh(
+        self, unit: Unit, scene: Scene, facts: Mapping[str, TextFacts], bits: PriorBits, upstream: Tables
+    ) -> StageOutput:
+        """Return the output for a scene without a navmesh: as many instructions as wanted, and no episodes. Every
+        candidate counts as not placed. A scan may have a viewpoint graph instead.
+        """
+        graph = source_of(unit).connectivity(scene.scene_id)
+        drawn = draw_programs(
             scene,
-            candidates,
-            goals_from_table(upstream["stops"]),
-            walkable,
+            facts,
+            bits,
             sightings_from_table(upstream["visibility"]),
             instructions=self.instructions,
             sampling=self.sampling,
             places=self.places,
-            rules=self.rules,
-            thresholds=self.thresholds,
             preamble=self.preamble,
             seed=self.seed,
+            graph=None if graph is None else GraphPathfinder.load(graph),
         )
-        compositions = dict(
-            zip(*(upstream["candidates"][c].to_pylist() for c in ("instruction_id", "composition")), strict=True)
-        )
-        return StageOutput(
-            tables={
-                "placements": placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256),
-                "unplaced": unplaced_table(()),
-                "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
-                "funnel": funnel_table(scene.scene_id, wanted, pool, groups),
-            },
-            measures={"episodes": float(len(pool.episodes)), "candidates": float(len(candidates))},
-        )
-
-    def _without_navmesh(self, scene: Scene, candidates: list[Candidate]) -> StageOutput:
-        """Return the output for a scene without a navmesh: as many instructions as wanted, and no episodes. Every
-        candidate counts as not placed.
-        """
         pool = EpisodePool()
-        wanted, groups = self.instructions.wanted, self.instructions.counterfactual_groups
-        for candidate in candidates:
+        for candidate in drawn.candidates:
             pool.candidates[candidate.cell] += 1
             pool.reject(candidate, "no_navmesh")
+        wanted = set(unplaced_programs(drawn.candidates))
+        programs = {one.instruction_id: one.program for one in drawn.candidates if one.instruction_id in wanted}
+        return self._output(scene, programs, pool, drawn.rejections)
+
+    def _output(
+        self, scene: Scene, programs: Mapping[str, Program], pool: EpisodePool, failed: Rejections
+    ) -> StageOutput:
+        """Return the tables of a scene, whose published programs are `programs`, by id."""
+        names = sorted(programs)
+        examples = {one.instruction_id: one.program for one in pool.examples.values()}
+        kept = [(name, programs[name]) for name in names]
+        kept += [(name, examples[name]) for name in sorted(examples.keys() - programs.keys())]
+        table, sha256 = instruction_table(scene.scene_id, kept), None if scene.navmesh is None else scene.navmesh.sha256
+        keep_programs(table, dict(kept))
+        compositions = dict(zip(names, table["composition"].to_pylist(), strict=False))
+        placements = (
+            PLACEMENTS.empty_table() if sha256 is None else placements_table(scene.scene_id, pool, compositions, sha256)
+        )
         return StageOutput(
             tables={
-                "placements": PLACEMENTS.empty_table(),
-                "unplaced": unplaced_table(unplaced_programs(candidates)),
-                "rejections": rejections_table(scene.scene_id, self.name, pool.rejections, pool.examples),
-                "funnel": funnel_table(scene.scene_id, wanted, pool, groups),
+                "programs": table,
+                "placements": placements,
+                "unplaced": unplaced_table(names if sha256 is None else ()),
+                "rejections": pa.concat_tables(
+                    [
+                        rejections_table(scene.scene_id, DRAWING, failed),
+                        rejections_table(scene.scene_id, PLACING, pool.rejections, pool.examples),
+                    ]
+                ),
+                "funnel": funnel_table(
+                    scene.scene_id, self.instructions.wanted, pool, self.instructions.counterfactual_groups
+                ),
             },
-            measures={"episodes": 0.0, "candidates": float(len(candidates))},
+            measures={
+                "episodes": float(len(pool.episodes)),
+                "candidates": float(sum(pool.candidates.values())),
+            },
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, Generic, TypeVar
@@ -10,7 +10,6 @@ from typing import Final, Generic, TypeVar
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from condvln.episodes.candidates import Candidate, candidates_from_table
 from condvln.episodes.steps import Walkable
 from condvln.episodes.view import SceneView
 from condvln.instructions import LabelPriors, PriorBits, programs_from_table
@@ -24,7 +23,6 @@ from condvln.sources.source import Source
 from factory.unit import Unit
 from schemas.canonical import JSON
 from schemas.config import (
-    InstructionCell,
     InstructionsConfig,
     LimitsConfig,
     SamplingConfig,
@@ -38,9 +36,8 @@ __all__ = [
     "Tables",
     "asked_of",
     "bits_of",
-    "candidates_of",
     "dump",
-    "keep_candidates",
+    "keep_programs",
     "navmeshes_table",
     "pathfinder_of",
     "programs_of",
@@ -135,13 +132,12 @@ def _same(one: object, other: object) -> bool:
         return True
     if isinstance(one, pa.Table):  # the factory makes a table anew; equal rows make equal things
         return isinstance(other, pa.Table) and one.equals(other)
-    return isinstance(one, (str, float, InstructionCell)) and one == other
+    return isinstance(one, (str, float)) and one == other
 
 
 _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
-_candidates: Final[_Latest[list[Candidate]]] = _Latest()
-_programs: Final[_Latest[dict[str, Program]]] = _Latest()
+_programs: Final[_Latest[Mapping[str, Program]]] = _Latest()
 _priors: Final[_Latest[LabelPriors]] = _Latest()
 _bits: Final[_Latest[PriorBits]] = _Latest()
 
@@ -185,26 +181,18 @@ def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions
     return _bits.get((scene, priors, sampling, directions), read)
 
 
-def keep_candidates(table: pa.Table, wanted: Sequence[InstructionCell], candidates: list[Candidate]) -> None:
-    """Cache the candidates that `table` was made of, so that the next stages of the scene need not parse the table."""
-    _candidates.get((table, *wanted), lambda: candidates)
-    _programs.get((table,), lambda: {one.instruction_id: one.program for one in candidates})
+def keep_programs(table: pa.Table, programs: Mapping[str, Program]) -> None:
+    """Cache the programs by id that `table` was made of, so that the next stage of the scene need not parse it."""
+    _programs.get((table,), lambda: programs)
 
 
 def programs_of(table: pa.Table, names: pa.ChunkedArray) -> dict[str, Program]:
-    """Return the programs with the instruction ids `names` by their ids, in the order of a table of candidates."""
+    """Return the programs with the instruction ids `names` by their ids, in the order of a table of programs."""
     known = _programs.known((table,))
     if known is None:
         return dict(programs_from_table(table.filter(pc.is_in(table["instruction_id"], value_set=names))))
     wanted = set(names.to_pylist())
     return {name: program for name, program in known.items() if name in wanted}
-
-
-def candidates_of(table: pa.Table, wanted: Sequence[InstructionCell]) -> list[Candidate]:
-    """Return the candidates in a table, in the table's order. `wanted` are the cells for which the candidates were
-    drawn.
-    """
-    return _candidates.get((table, *wanted), lambda: candidates_from_table(table, wanted))
 
 
 def dump(section: Section) -> dict[str, JSON]:

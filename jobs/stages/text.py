@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import itemgetter
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from condvln.episodes.steps import published_texts
 from condvln.episodes.table import (
     with_text,
 )
-from condvln.instructions import instruction_table
+from condvln.instructions import instructions_with_text
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
 from jobs.stages.inputs import Tables, dump, programs_of
@@ -36,7 +36,7 @@ class TextStage(Stage):
     name: str = "text"
     version: int = 27
     tables: tuple[str, ...] = ("instructions", "episodes")
-    reads: tuple[str, ...] | None = ("candidates", "placements", "unplaced", "rooms")
+    reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 
     def parameters(self, unit: Unit) -> JSON:
         return {
@@ -47,19 +47,17 @@ class TextStage(Stage):
         }
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        placements = upstream["placements"]
-        candidates = upstream["candidates"]
+        placements, table = upstream["placements"], upstream["programs"]
         wanted = [*placements["instruction_id"].chunks, *upstream["unplaced"]["instruction_id"].chunks]
         names = pa.chunked_array(wanted, pa.string())
-        programs = programs_of(candidates, names)
+        programs = programs_of(table, names)
         groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
         rows = placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist()
         bodies, texts = published_texts(programs, rows, self.text, self.wording, self.seed)
+        published = table.filter(pc.is_in(table["instruction_id"], value_set=names))
         return StageOutput(
             tables={
-                "instructions": instruction_table(
-                    str(unit.payload["scene_id"]), sorted(programs.items(), key=itemgetter(0)), bodies, groups
-                ),
+                "instructions": instructions_with_text(published, bodies, groups),
                 "episodes": with_text(placements, texts, self.max_steps, self.text.steps_per_word),
             }
         )

@@ -14,6 +14,7 @@ __all__ = [
     "DOUBLE_CENTRES",
     "DOUBLE_FOOTPRINT",
     "DOUBLE_GAP",
+    "DRAWN_PER_PLACE",
     "EVIDENCE",
     "EYE_SPACING",
     "FALLEN_DEGREES",
@@ -43,6 +44,7 @@ __all__ = [
     "MOST_MOVES_OF_FOUR_LEAVES",
     "MOST_OBJECTS_PER_ROOM",
     "MOST_ROOMS",
+    "MOVES_OFF",
     "OPEN_SHARE",
     "PART_INSIDE",
     "PATH_SPACING",
@@ -156,6 +158,13 @@ FAR_RING_GAP: Final = 0.2
 
 LOW_EYE: Final = 0.5
 """Height of a second eye above the floor, metres, for objects under a table."""
+
+DRAWN_PER_PLACE: Final = 1.5
+"""Number of candidates drawn at once for each episode that a cell lacks, since placing rejects some."""
+
+MOVES_OFF: Final = 1.5
+"""How many leaves too many or too few of a cell may have some number of moves, before candidates with other moves are
+drawn."""
 
 FEW_LABELS_SLACK: Final = 1.25
 """Factor on an equal share of labels: the share that a label may have where a scene has too few labels to keep the

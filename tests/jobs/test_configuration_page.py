@@ -28,7 +28,7 @@ from schemas.config import Config
 from schemas.errors import CondVLNError
 from tests.condvln.relations.layered_rooms import layered_room
 
-STAGES = ("scene", "counts", "relations", "visibility", "programs", "episodes", "text", "priors")
+STAGES = ("scene", "counts", "relations", "visibility", "episodes", "text", "priors")
 
 CHANGED: dict[str, Any] = {
     "name": "other",
@@ -181,7 +181,7 @@ QUOTING = {"origin.json", "export.json"}
 """Files of an export that repeat the configuration, or hashes of those that do."""
 
 WORDING = {"text.preamble", "instructions.language", "instructions.voices", "instructions.length"}
-"""Keys that programs read only where a cell bounds the number of words."""
+"""Keys that the stage episodes reads only where a cell bounds the number of words."""
 
 BEARINGS = {
     "thresholds.bearing_true",

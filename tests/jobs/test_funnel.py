@@ -46,7 +46,7 @@ def test_numbers_add_up(made_run: Run) -> None:
     snapshot = published(config)
     funnel = funnel_of(snapshot)
     assert funnel is not None
-    drawn, placed = measured(config, "programs", "candidates"), measured(config, "episodes", "episodes")
+    drawn, placed = measured(config, "episodes", "candidates"), measured(config, "episodes", "episodes")
     episodes = Counter(f"replicacad/{scene}" for scene in snapshot.table("episodes")["scene_id"].to_pylist())
     assert set(funnel.scenes) == set(drawn) == set(placed)
     for name, flow in funnel.scenes.items():
@@ -232,16 +232,17 @@ def test_a_cell_bounded_in_metres_and_words_holds_nothing_else(celled: Config) -
     assert bounded.candidates == bounded.placed + bounded.rejected.total()
 
 
-def test_wording_is_a_part_of_the_key_of_programs_only_where_words_are_bounded(celled: Config) -> None:
+def test_wording_is_a_part_of_the_key_of_episodes_only_where_words_are_bounded(celled: Config) -> None:
     def parameters(config: Config) -> JSON:
         (unit, *_) = list_units(config, hash_file)
-        (stage,) = [stage for stage in build_pipeline(config).stages if stage.name == "programs"]
+        (stage,) = [stage for stage in build_pipeline(config).stages if stage.name == "episodes"]
         return stage.parameters(unit)
 
     plain = celled.model_copy(update={"instructions": InstructionsConfig()})
     assert parameters(celled)["wording"] == TextStage.version
     assert parameters(celled)["text"] == {"preamble": True}
-    assert not {"wording", "text"} & parameters(plain).keys()
+    assert "wording" not in parameters(plain)
+    assert not {"language", "voices", "length"} & parameters(plain)["instructions"].keys()
 
 
 def test_counterfactual_groups_are_published_whole(celled: Config) -> None:

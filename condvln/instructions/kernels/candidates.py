@@ -79,6 +79,7 @@ class WantedCell(NamedTuple):
     roomy (3, r), roomy_sums (3, r), roomy_sizes (3,) : the rooms that have targets for all leaves, for at most 0, 1 and
         2 waypoints, their running weights, and how many they are
     move_sums (m,) : running shares of leaves with 1, 2, … moves; `moves` : number of moves of all leaves instead, or 0
+    golds (g,) : the gold leaves of the next g candidates, which are dealt in a random order, again and again
     truths (n, a, b), truth_sizes (n,) : rows of truths of conditions that lead to each leaf, and how many they are
     asked (b,), below (b, 2, n) : the condition of each branch, and the leaves below THEN and ELSE
     cap : a label is a goal at most so often
@@ -96,6 +97,7 @@ class WantedCell(NamedTuple):
     roomy_sizes: Longs
     move_sums: Doubles
     moves: int
+    golds: Longs
     truths: Bools
     truth_sizes: Longs
     asked: Longs
@@ -114,7 +116,7 @@ class CellState(NamedTuple):
     numbers (10,) : how many shapes are left; how many failed since the last candidate, and before that; how many draws
         the present shape has left (0: a new shape is drawn), and had when its candidate was found; how many candidates
         were found; how many keys were seen; how many golds are left; gold leaf and composition of the present shape
-    golds (n,) : the golds that are left, of which the last is next
+    golds (g,) : the golds that are left, the last of them is next; with room for those of the cell
     moves (n,) : number of moves of each leaf in the present shape
     used (l,) : how often each label is a goal so far
     keys (s, k) : keys of the candidates so far; empty if candidates may be equal
@@ -176,16 +178,19 @@ def _draw_shape(cell: WantedCell, state: CellState, stream: Doubles, left: Longs
     """Draw the gold leaf, the composition and the moves of a candidate, and write them to `state`. Return the number of
     the reason why no program has this shape, or FITS.
     """
-    numbers, n = state.numbers, len(state.golds)
-    # Each leaf is gold as often as the others: placing takes no more of one than of another.
+    numbers, n = state.numbers, len(state.moves)
+    # By default, each leaf is gold as often as the others: placing takes no more of one than of another.
     if numbers[GOLDS] == 0:
-        pool = np.arange(n)
-        for k in range(n):
-            place = index(n - k, stream, left)
+        count = len(cell.golds)
+        pool = np.empty(count, np.int64)
+        for k in range(count):
+            pool[k] = cell.golds[k]
+        for k in range(count):
+            place = index(count - k, stream, left)
             state.golds[k] = pool[place]
-            for later in range(place, n - k - 1):
+            for later in range(place, count - k - 1):
                 pool[later] = pool[later + 1]
-        numbers[GOLDS] = n
+        numbers[GOLDS] = count
     numbers[GOLDS] -= 1
     numbers[GOLD] = state.golds[numbers[GOLDS]]
     there = len(cell.compositions) > 0
@@ -431,6 +436,7 @@ def _warm_up() -> None:
         roomy_sizes=np.ones(3, np.int64),
         move_sums=one,
         moves=0,
+        golds=numbers,
         truths=np.ones((1, 1, 1), bool),
         truth_sizes=np.ones(1, np.int64),
         asked=numbers,

@@ -10,10 +10,9 @@ import pytest
 
 from condvln.episodes.candidates import Candidate
 from condvln.episodes.goals import blocked_footprints, goal_points
-from condvln.episodes.placing import Placement, Placer, Rejected
+from condvln.episodes.placing import Placement, Rejected
 from condvln.episodes.pool import fill_pool
 from condvln.episodes.rules import REASONS
-from condvln.episodes.table import goals_from_table, stops_table
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, eyes_at
@@ -31,6 +30,7 @@ from tests.condvln.episodes.floors import (
     program,
     surfaces_of,
 )
+from tests.condvln.episodes.listed_candidates import Listed
 
 PLACES, GOALS, RULES = PlacesConfig(), GoalsConfig(), EpisodeConfig()
 
@@ -136,20 +136,6 @@ def test_what_stands_under_a_table_is_seen_from_lower_down_and_what_is_shut_away
     chest = (STRUCTURE, box_triangles([3.8, 0, 2.8], [4.2, 0.5, 3.2]))
     assert not len(
         goal_points(shoe, scene.rooms[0], pathfinder, PLACES, GOALS, view=SceneView(scene, surfaces_of([own, chest])))
-    )
-
-
-def test_goal_points_are_kept_in_a_table_without_loss(flat) -> None:
-    scene, pathfinder = flat
-    placer = placer_of(scene, pathfinder)
-    goals = goals_from_table(stops_table("flat", placer.field.goals))
-    assert list(goals) == list(placer.field.goals)
-    again = Placer(scene, pathfinder, goals, PLACES, RULES, seed=5, max_climb=0.2)
-    for name, points in placer.field.goals.items():
-        np.testing.assert_array_equal(again.field.goals[name], points)
-    made = program(("sofa",), ("sink",))
-    np.testing.assert_array_equal(
-        again.place(made, "i", compass=False).start, placer.place(made, "i", compass=False).start
     )
 
 
@@ -365,7 +351,7 @@ def test_pool_keeps_quota_gold_balance_and_label_cap(flat) -> None:
     names = [o.object_id for o in OBJECTS]
     cell = InstructionCell(category="simple", count=8)
     candidates = [Candidate(f"{a}-{b}", program((a,), (b,)), cell) for a in names for b in names if a != b]
-    pool = fill_pool(candidates * 2, placer, (cell,), 0.3, lambda _: False)
+    pool = fill_pool(Listed(candidates * 2), placer, (cell,), 0.3, lambda _: False)
     assert 0 < len(pool.episodes) <= 8
     labels = [leaf.goal.label for e in pool.episodes for leaf in e.program.leaves]
     assert max(labels.count(name) for name in names) <= np.ceil(0.3 * len(labels))

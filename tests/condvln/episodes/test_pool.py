@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate, permutations
 from typing import Any
 
@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from condvln.episodes import pool as pool_module
-from condvln.episodes.candidates import Candidate, candidates_from_table, candidates_table, unplaced_programs
+from condvln.episodes.candidates import Candidate, unplaced_programs
 from condvln.episodes.identity import content_hash
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
@@ -32,6 +32,7 @@ from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig, TextCon
 from schemas.program import SHAPES, Category, Condition, Leaf, ObjectRef, Program, RoomRef
 from schemas.tables import EPISODES
 from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, placer_of
+from tests.condvln.episodes.listed_candidates import Listed
 
 PLACES, RULES = PlacesConfig(), EpisodeConfig()
 ZONE = RoomRef(room_id="zone", label="apartment")
@@ -60,13 +61,28 @@ def asking(first: str, second: str, witness: str, truth: bool) -> Program:
     return Program(category="simple", conditions=(condition,), branches=SHAPES["simple"].branches, leaves=tuple(leaves))
 
 
+def filled_from(
+    candidates: Iterable[Candidate],
+    placer: Placer,
+    cells: tuple[InstructionCell, ...],
+    label_cap: float = 1.0,
+    names_compass: Callable[[Program], bool] = lambda _: False,
+    observer: Observer | None = None,
+    groups: int = 0,
+    shares: tuple[Sequence[float], Sequence[float]] | None = None,
+) -> EpisodePool:
+    """The pool where all candidates of a cell come at once; `shares` are those wanted and drawn."""
+    moves = None if shares is None else lambda _: shares
+    return fill_pool(Listed(candidates), placer, cells, label_cap, names_compass, observer, groups, moves)
+
+
 def filled(
     flat, candidates: list[Candidate], cells: tuple[InstructionCell, ...], label_cap: float = 1.0
 ) -> EpisodePool:
     scene, pathfinder = flat
     placer = placer_of(scene, pathfinder)
     observer = Observer(scene, SceneView(scene), pathfinder, PLACES, RULES, placer.obstacles)
-    return fill_pool(candidates, placer, cells, label_cap, lambda _: True, observer)
+    return filled_from(candidates, placer, cells, label_cap, lambda _: True, observer)
 
 
 def drawn(*cells: InstructionCell) -> list[Candidate]:
@@ -227,7 +243,7 @@ def test_a_counterfactual_group_shares_its_start_and_comes_whole(flat) -> None:
     scene, pathfinder = flat
     placer = placer_of(scene, pathfinder)
     observer = Observer(scene, SceneView(scene), pathfinder, PLACES, RULES)
-    pool = fill_pool([*drawn(cell), *groups], placer, (cell,), 0.5, lambda p: p.conditions[0].truth, observer, 3)
+    pool = filled_from([*drawn(cell), *groups], placer, (cell,), 0.5, lambda p: p.conditions[0].truth, observer, 3)
     members: dict[str, list] = {}
     for episode in pool.episodes:
         if episode.candidate.group_id is not None:
@@ -250,8 +266,10 @@ def test_a_counterfactual_group_shares_its_start_and_comes_whole(flat) -> None:
     assert pool.rejections[cell, "program_placed"]
     (row,) = [row for row in funnel_table("flat", (cell,), pool, 3).to_pylist() if row["category"] is None]
     assert row["wanted"] == 12
-    assert row["candidates"] == len(groups) == row["rejected"] + row["placed"]
     assert row["placed"] == 4 * len(members)
+    assert row["candidates"] == row["rejected"] + row["placed"] <= len(groups), (
+        "groups are drawn until there are enough"
+    )
 
 
 class Anywhere(Placer):
@@ -273,7 +291,7 @@ def shares(pool: EpisodePool) -> Counter[str]:
 def test_a_group_is_trimmed_away_whole() -> None:
     pairs = [("sofa", "sink"), ("sofa", "lamp"), ("sofa", "table"), ("bed", "lamp")]
     groups = [m for k, pair in enumerate(pairs) for m in quadruple(*pair, "w", name=f"group {k}")]
-    pool = fill_pool(groups, Anywhere(), (), 0.2, lambda _: False, None, 8)
+    pool = filled_from(groups, Anywhere(), (), 0.2, groups=8)
     # Of five labels each may have a quarter. Sofa has 12 of 32 leaves; without two of its groups it has 4 of 16.
     assert Counter(e.candidate.group_id for e in pool.episodes) == {"group 0": 4, "group 3": 4}
     assert pool.rejections == {(None, "label_over_cap"): 8}
@@ -285,7 +303,7 @@ def test_what_a_label_over_its_share_leaves_behind_is_filled_by_others() -> None
     crowded = [asking("sofa", things[k], "w", k % 2 == 0) for k in range(4)]
     spare = [asking(things[10 + 2 * k], things[11 + 2 * k], "w", k % 2 == 0) for k in range(10)]
     candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*crowded, *spare])]
-    pool = fill_pool(candidates, Anywhere({"4", "6"}), (barren, cell), 0.15, lambda _: False)
+    pool = filled_from(candidates, Anywhere({"4", "6"}), (barren, cell), 0.15)
     # Of all that is wanted sofa may have 6 leaves of 40; of the 16 that can be had, 3.
     assert [e.instruction_id for e in pool.episodes] == ["0", "1", "2", "5", "7", "8", "9", "10"]
     assert pool.rejections == {
@@ -298,7 +316,7 @@ def test_what_a_label_over_its_share_leaves_behind_is_filled_by_others() -> None
 def test_a_scene_of_one_crowded_label_keeps_what_it_has() -> None:
     """Twelve groups are wanted and five can be had, all past the one sofa: nothing is gained by dropping them."""
     groups = [m for k in range(5) for m in quadruple("sofa", f"thing {k}", "w", f"group {k}")]
-    pool = fill_pool(groups, Anywhere(), (), 0.5, lambda _: False, None, 12)
+    pool = filled_from(groups, Anywhere(), (), 0.5, groups=12)
     assert len(pool.episodes) == 20
     assert not pool.rejections
     assert shares(pool)["sofa"] == 20
@@ -313,7 +331,7 @@ def test_numbers_of_moves_keep_their_shares_where_long_routes_find_no_place() ->
     candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate([*short, *long])]
 
     def moves(candidates: list[Candidate], shares: tuple[float, ...]) -> Counter[int]:
-        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: shares)
+        pool = filled_from(candidates, Anywhere(), (cell,), shares=(shares, shares))
         assert len(pool.episodes) == 10
         assert set(pool.rejections) <= {(cell, "quota_full"), (cell, "gold_leaf_full")}
         return Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
@@ -334,7 +352,7 @@ def test_a_cell_makes_up_for_the_moves_of_the_groups_of_its_category() -> None:
     group = quadruple("sofa", "bed", "w", name="group")
 
     def moves(*candidates: Candidate) -> Counter[int]:
-        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 1, lambda _: (0.5, 0.5, 0.0))
+        pool = filled_from(candidates, Anywhere(), (cell,), groups=1, shares=((0.5, 0.5, 0.0),) * 2)
         return Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
 
     assert moves(*candidates) == {1: 10, 2: 10}
@@ -349,7 +367,7 @@ def test_a_cell_that_can_not_have_its_shares_comes_as_near_as_its_candidates_all
     mixed = [_with_waypoint(asking(things[k], things[k + 1], "w", k % 4 == 0), "w", 1) for k in range(20, 32, 2)]
     for programs in ([*short, *mixed], [*mixed, *short]):
         candidates = [Candidate(f"{k}", program, cell) for k, program in enumerate(programs)]
-        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: (0.5, 0.5, 0.0))
+        pool = filled_from(candidates, Anywhere(), (cell,), shares=((0.5, 0.5, 0.0),) * 2)
         assert Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves) == {1: 14, 2: 6}
 
 
@@ -390,12 +408,79 @@ def test_over_many_scenes_leaves_have_the_asked_shares_whatever_is_drawn(
         for k in range(60):
             moves = [1 + draws.cumulative(sums) for _ in range(leaves)]
             candidates.append(Candidate(f"{k}", _with_moves(category, moves, k % leaves, f"{k}"), cell))
-        pool = fill_pool(candidates, Anywhere(), (cell,), 1.0, lambda _: False, None, 0, lambda _: asked)
+        pool = filled_from(candidates, Anywhere(), (cell,), shares=(asked, drawn))
         held = Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
         assert held.total() == 12 * leaves
         assert all(abs(held[n] - share * held.total()) < 3 for n, share in enumerate(asked, 1))
         total += held
     assert [total[n] / total.total() for n in range(1, len(asked) + 1)] == pytest.approx(asked, abs=0.015)
+
+
+class ToOrder:
+    """Draws what is asked for: golds in turn, moves by the shares; `most` candidates at most."""
+
+    labels, group_leaves = 1000, 0.0
+
+    def __init__(self, category: Category, scene: int, most: int = 60) -> None:
+        self._category, self._draws, self._left = category, Draws(generator(1, category, scene)), most
+        self.drawn: list[Candidate] = []
+        self.calls = 0
+
+    def group(self) -> Sequence[Candidate]:
+        return ()
+
+    def more(
+        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
+    ) -> Sequence[Candidate]:
+        assert moves is not None
+        assert sum(moves) == pytest.approx(1.0)
+        self.calls += 1
+        sums, found = tuple(accumulate(moves)), []
+        for k in range(min(count, self._left)):
+            name = f"{len(self.drawn) + k}"
+            routes = [1 + self._draws.cumulative(sums) for _ in range(SHAPES[self._category].leaves)]
+            found.append(Candidate(name, _with_moves(self._category, routes, golds[k % len(golds)], name), cell))
+        self._left -= len(found)
+        self.drawn += found
+        return found
+
+
+class ShortRoutes(Anywhere):
+    """Places every program without long routes, and every third of the others."""
+
+    def place(self, program: Program, instruction_id: str, **_: object) -> Placement:
+        if max(len(leaf.moves) for leaf in program.leaves) > 1 and int(instruction_id) % 3:
+            raise Rejected("path_enters_other_leaf")
+        return Placement(np.zeros(3), 0.0, tuple(program.leaves), 1.0)
+
+
+@pytest.mark.parametrize("category", ["simple", "nested", "deep_nested"])
+def test_candidates_are_drawn_as_they_are_wanted_with_the_moves_and_golds_that_a_cell_lacks(category: Category) -> None:
+    cell, leaves = InstructionCell(category=category, count=12), SHAPES[category].leaves
+    shares = (0.6, 0.4) if leaves == 4 else (0.4, 0.4, 0.2)
+    total, drawn = Counter[int](), 0
+    for scene in range(40):
+        supply = ToOrder(category, scene, most=200)
+        pool = fill_pool(supply, ShortRoutes(), (cell,), 1.0, lambda _: False, None, 0, lambda _: (shares, shares))
+        assert Counter(e.program.gold_leaf() for e in pool.episodes) == dict.fromkeys(range(leaves), 12 // leaves)
+        assert pool.candidates[cell] == len(supply.drawn) == 12 + sum(pool.rejections.values())
+        assert supply.calls > 1
+        total += Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
+        drawn += len(supply.drawn)
+    assert drawn < 5 * 12 * 40, "a third of the programs with a long route is placed"
+    found = [total[n] / total.total() for n in range(1, len(shares) + 1)]
+    assert found == pytest.approx(shares, abs=0.03)
+
+
+def test_a_cell_that_can_not_be_filled_draws_all_that_there_is_and_no_more() -> None:
+    cell, rest = InstructionCell(category="simple", count=12), InstructionCell(category="nested", count=1)
+    supply = ToOrder("simple", 0, most=30)
+    nowhere = [f"{k}" for k in range(30) if k % 5]
+    pool = fill_pool(supply, Anywhere(nowhere), (cell, rest), 1.0, lambda _: False, None, 0, lambda _: 2 * ((1.0,),))
+    assert len(supply.drawn) == pool.candidates[cell] == 30
+    assert 0 < pool.placed[cell] <= 6
+    assert not pool.rejections[cell, "quota_full"]
+    assert pool.candidates[rest] == 0
 
 
 def _with_waypoint(program: Program, name: str, leaves: int = 2) -> Program:
@@ -441,7 +526,7 @@ def test_a_short_cell_has_no_candidate_that_its_quota_turned_away(
         if first != second
     ]
     nowhere = [f"{k}" for k, row in enumerate(asked) if row[4]]
-    pool = fill_pool(candidates, Anywhere(nowhere), cells, cap, lambda _: False)
+    pool = filled_from(candidates, Anywhere(nowhere), cells, cap)
     assert sum(pool.candidates.values()) == len(candidates) == len(pool.episodes) + sum(pool.rejections.values())
     labels = {leaf.goal.label for c in candidates for leaf in c.program.leaves}
     assert bool(pool.episodes) == any(c.instruction_id not in nowhere for c in candidates)
@@ -461,7 +546,7 @@ def test_a_short_cell_has_no_candidate_that_its_quota_turned_away(
 def test_a_scene_rejects_the_larger_hash_with_its_group(flat, monkeypatch: pytest.MonkeyPatch, bits: int) -> None:
     scene, pathfinder = flat
     candidates = [*quadruple("sofa", "sink", "bed", "g"), *drawn(simple(count=4))]
-    whole = fill_pool(candidates, placer_of(scene, pathfinder), (simple(count=4),), 1.0, lambda _: False, None, 1)
+    whole = filled_from(candidates, placer_of(scene, pathfinder), (simple(count=4),), groups=1)
     assert len(whole.episodes) > 4
     hashes = {
         e.instruction_id: content_hash("flat", e.instruction_id, e.placement.start, e.placement.yaw)
@@ -485,7 +570,7 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     scene, pathfinder = flat
     placer = placer_of(scene, pathfinder)
     candidates = quadruple("sofa", "sink", "bed", "g")
-    pool = fill_pool(candidates, placer, (), 1.0, lambda _: False, None, 1)
+    pool = filled_from(candidates, placer, (), groups=1)
     placements = placements_table("flat", pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
     names = placements["episode_id"].to_pylist()
     texts = {name: " ".join(["word"] * (12 + k)) for k, name in enumerate(names)}
@@ -505,12 +590,3 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     assert (EpisodeConfig().max_steps, paper.step_ceiling, TextConfig().steps_per_word) == (500, 500, 20)
     with pytest.raises(ValidationError, match="500"):
         EpisodeConfig(max_steps=501)
-
-
-def test_candidates_are_kept_in_a_table_without_loss(flat) -> None:
-    cells = (
-        simple(observability="O1", count=5),
-        simple(count=4),
-    )
-    candidates = [*drawn(*cells), *quadruple("sofa", "sink", "bed", "g")]
-    assert candidates_from_table(candidates_table("flat", candidates), cells) == candidates

@@ -7,7 +7,13 @@ import hashlib
 import orjson
 import pyarrow as pa
 
-from condvln.instructions import instruction_id, instruction_table, program_key, programs_from_table
+from condvln.instructions import (
+    instruction_id,
+    instruction_table,
+    instructions_with_text,
+    program_key,
+    programs_from_table,
+)
 from condvln.instructions.programs import ProgramParts, composition, program_document
 from schemas.tables import INSTRUCTIONS
 
@@ -16,7 +22,7 @@ def test_programs_survive_their_table(sampled) -> None:
     for scene, _, _, programs in sampled:
         named = [(instruction_id(scene.family, scene.scene_id, p), p) for p in programs]
         texts = {name: "Go to the sofa." for name, _ in named[::2]}
-        table = instruction_table(scene.scene_id, named, texts)
+        table = instructions_with_text(instruction_table(scene.scene_id, named), texts, {})
         assert table.schema.equals(INSTRUCTIONS)
         assert programs_from_table(table) == named
         for (name, program), row in zip(named, table.to_pylist(), strict=True):
@@ -39,7 +45,7 @@ def test_a_program_is_written_as_pydantic_writes_it(sampled) -> None:
 def test_a_table_is_what_arrow_makes_of_the_rows(sampled) -> None:
     for scene, _, _, programs in sampled:
         named = [(f"{k}", program) for k, program in enumerate([*programs, *programs[:3]])]
-        table = instruction_table(scene.scene_id, named, {"0": "Go."}, {"1": "together"})
+        table = instructions_with_text(instruction_table(scene.scene_id, named), {"0": "Go."}, {"1": "together"})
         rows = table.to_pylist()
         assert table.equals(pa.Table.from_pylist(rows, schema=INSTRUCTIONS))
         for (_, program), row in zip(named, rows, strict=True):
