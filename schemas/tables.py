@@ -411,7 +411,7 @@ REJECTIONS: Final = pa.schema(
         _required(
             "stage",
             _S,
-            "what was rejected: draws of programs (`programs`) or candidates that can't be placed (`episodes`)",
+            "what was rejected: draws (`programs`) or candidates that were not placed (`episodes`)",
         ),
         _field("category", _S, _CATEGORY),
         _required("cell", _S, _CELL),
