@@ -148,10 +148,6 @@ def test_an_object_in_the_middle_of_nothing_has_none(flat) -> None:
     )
 
 
-def test_goal_points_of_no_object_are_a_table_without_rows() -> None:
-    assert goals_from_table(stops_table("flat", {})) == {}
-
-
 def test_furniture_the_navmesh_ignores_is_found(flat) -> None:
     scene, pathfinder = flat
     assert blocked_footprints(scene, pathfinder, 0.2) == []
