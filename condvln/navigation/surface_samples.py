@@ -5,6 +5,9 @@ The points depend only on surface, count and seed.
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Literal
+
 import numpy as np
 import numpy.typing as npt
 
@@ -20,6 +23,7 @@ DEFAULT_SAMPLES = 64
 # The six faces of a unit box from -1 to 1: the axis perpendicular to each, and its sign.
 _FACE_AXIS = np.array([0, 0, 1, 1, 2, 2])
 _FACE_SIDE = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+_OTHER_AXES = np.array([[1, 2], [0, 2], [0, 1]])[_FACE_AXIS]
 
 
 def box_samples(
@@ -49,12 +53,11 @@ def box_samples(
         raise UsageError(
             f"a box has a number that is NaN or infinite, or a negative extent: centre {middle}, half extents {half}"
         )
-    others = np.array([[1, 2], [0, 2], [0, 1]])[_FACE_AXIS]
-    area = half[others].prod(axis=1)
+    area = half[_OTHER_AXES].prod(axis=1)
     if not area.any():  # degenerate box (a line or a point): any face will do
         area = np.ones(6)
-    face, rng = _by_area(area, count, seed)
-    place = rng.uniform(-1.0, 1.0, (count, 3))
+    slices, drawn = _draws(count, seed, "box")
+    face, place = _by_area(area, slices), drawn.copy()
     place[np.arange(count), _FACE_AXIS[face]] = _FACE_SIDE[face]
     points: Points = middle + (place * half) @ axes.T
     return points
@@ -79,21 +82,33 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
     area = np.linalg.norm(np.cross(along, across), axis=1)
     if not area.any():
         area = np.ones(len(corners))
-    face, rng = _by_area(area, count, seed)
-    u, v = rng.uniform(0.0, 1.0, (2, count, 1))
+    slices, drawn = _draws(count, seed, "mesh")
+    face, (u, v) = _by_area(area, slices), drawn
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     points: Points = corners[face, 0] + u * along[face] + v * across[face]
     return points
 
 
-def _by_area(area: Points, count: int, seed: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
-    """Choose a face for each of ``count`` random points, in proportion to the areas of the faces. Return the indices of
-    the faces, and the random generator with which the caller places the points on them. The total area is divided into
-    ``count`` equal slices, and each slice gets one point.
+def _by_area(area: Points, slices: Points) -> npt.NDArray[np.int64]:
+    """Choose a face for each of the random points, in proportion to the areas of the faces. Return the indices of the
+    faces. `slices` (n,) are shares of the total area, one in each of n equal parts.
+    """
+    upto = np.cumsum(area)
+    chosen = np.searchsorted(upto, slices * upto[-1], side="right")
+    return np.asarray(np.minimum(chosen, len(area) - 1), dtype=np.int64)
+
+
+@lru_cache(maxsize=64)
+def _draws(count: int, seed: int, kind: Literal["box", "mesh"]) -> tuple[Points, Points]:
+    """Return the random numbers of ``count`` points, which are equal for all surfaces: a share of the total area for
+    each (n,), in one of n equal parts each, and where the point lies on its face: (n, 3) from -1 to 1 for a box, twice
+    (n, 1) from 0 to 1 for a mesh.
     """
     if count < 1:
         raise UsageError(f"the number of samples must be positive, got {count}", remedy="Request at least one")
     rng = np.random.default_rng(seed)
     slices = (np.arange(count) + rng.uniform(0.0, 1.0, count)) / count
-    upto = np.cumsum(area)
-    return np.minimum(np.searchsorted(upto, slices * upto[-1], side="right"), len(area) - 1), rng
+    drawn = rng.uniform(-1.0, 1.0, (count, 3)) if kind == "box" else rng.uniform(0.0, 1.0, (2, count, 1))
+    for array in (slices, drawn):
+        array.flags.writeable = False
+    return slices, drawn
