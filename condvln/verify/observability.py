@@ -26,12 +26,13 @@ from condvln.scene import Scene, SceneObject
 from condvln.scene.geometry import SceneGeometry
 from condvln.verify.certificate import Certificate
 from condvln.verify.footprints import Obstacles
+from condvln.verify.geodesics import Point
 from condvln.verify.ground_points import ground_points
 from condvln.verify.heading import yaw_of
 from condvln.verify.lookouts import stands
 from condvln.verify.referents import SceneReferents
 from condvln.verify.rules import VerifierRules
-from condvln.verify.sight import Sight, Sought
+from condvln.verify.sight import Eyes, Sight, Sought
 from schemas.episode import Evidence, Observability
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Condition
@@ -55,14 +56,14 @@ checked.
 class _Asked:
     """A row whose evidence is checked.
 
-    start (1, 3) : the eye at its start
+    start : the eye at its start
     proofs : for each condition with recorded evidence, its sets of targets
     """
 
     row: ManifestEpisode
     certificate: Certificate
     yaw: float
-    start: F64
+    start: Eyes
     proofs: list[tuple[Evidence, Proofs]]
 
 
@@ -75,18 +76,22 @@ def check_observability(
 ) -> None:
     """Check the evidence of all episodes of one scene. The positions of the episodes must already have been checked."""
     asked = []
+    starts: dict[Point, Eyes] = {}
     for row, certificate in zip(rows, certificates, strict=True):
         if row.observability is None or any(d.fact in RESTS_ON for d in certificate.disagreements):
             continue
         if certificate.same("surfaces", row.observability_approximate, sight.approximate):
-            asked.append(_asked(row, certificate, referents, eye_height))
+            start = starts.get(row.start_position)
+            if start is None:
+                start = starts[row.start_position] = Eyes(eyes_at(row.start_position, eye_height))
+            asked.append(_asked(row, certificate, referents, start))
     sight.look((thing, one.start) for one in asked for _, proofs in one.proofs for way in proofs for thing in way)
     at_start = [[_known(sight, proofs, one.start) for _, proofs in one.proofs] for one in asked]
-    # Eyes (n, 3) on the shared path, in one or two variants; none if everything is visible at the start.
+    # Eyes on the shared path, in one or two variants; none if everything is visible at the start.
     walking = [not all(known) for known in at_start]
     paths = [[leaf.reference_path for leaf in one.row.leaves] for one, more in zip(asked, walking, strict=True) if more]
     walks = iter(stands(paths))
-    ways = [[eyes_at(places, eye_height) for places in next(walks)] if more else [] for more in walking]
+    ways = [[Eyes(eyes_at(places, eye_height)) for places in next(walks)] if more else [] for more in walking]
     sight.look(
         (thing, eyes)
         for one, known, places in zip(asked, at_start, ways, strict=True)
@@ -124,13 +129,13 @@ def sight_of(
     return Sight(scene, surfaces(), is_structure, is_frame, floor, rules.places, rules.episodes)
 
 
-def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneReferents, eye_height: float) -> _Asked:
+def _asked(row: ManifestEpisode, certificate: Certificate, referents: SceneReferents, start: Eyes) -> _Asked:
     yaw = yaw_of(row.start_rotation)
     assert yaw is not None, "a start without a heading was rejected earlier"
     conditions = row.program.conditions
     told = [evidence for evidence in row.evidence or () if evidence.condition < len(conditions)]
     proofs = [(evidence, proofs_of(conditions[evidence.condition], referents)) for evidence in told]
-    return _Asked(row, certificate, yaw, eyes_at(row.start_position, eye_height), proofs)
+    return _Asked(row, certificate, yaw, start, proofs)
 
 
 def proofs_of(condition: Condition, referents: SceneReferents) -> Proofs:
@@ -146,15 +151,15 @@ def proofs_of(condition: Condition, referents: SceneReferents) -> Proofs:
     return proofs
 
 
-def _known(sight: Sight, proofs: Proofs, eyes: F64, yaw: float | None = None) -> bool:
+def _known(sight: Sight, proofs: Proofs, eyes: Eyes, yaw: float | None = None) -> bool:
     return any(all(sight.is_seen(thing, eyes, yaw) for thing in way) for way in proofs)
 
 
-def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: Sequence[F64]) -> None:
+def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: Sequence[Eyes]) -> None:
     """Check two published facts about one condition: its observability level, and whether its evidence is visible at
     the start without turning.
 
-    ways : eyes (n, 3) on the shared path, in one or two variants; none if it is visible at the start
+    ways : eyes on the shared path, in one or two variants; none if it is visible at the start
     """
     levels: list[Observability] = ["O1" if _known(sight, proofs, eyes) else "O2" for eyes in ways] or ["O0"]
     ahead = not ways and _known(sight, proofs, one.start, one.yaw)
@@ -165,7 +170,7 @@ def _check(sight: Sight, one: _Asked, evidence: Evidence, proofs: Proofs, ways: 
     one.certificate.same("first_view", evidence.in_view, ahead, place)
 
 
-def _shares(sight: Sight, proofs: Proofs, eyes: F64) -> dict[str, Any]:
+def _shares(sight: Sight, proofs: Proofs, eyes: Eyes) -> dict[str, Any]:
     """Return for each target the shares of its sample points that are visible from `eyes`: first of the points that
     this package chose itself, then of the published points. A floor has only one set of points.
     """

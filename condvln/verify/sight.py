@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from condvln.verify.kernels.looking import in_front, in_range, spread
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import FIRST_VIEW_DEGREES, FRAME_HEADROOM
 
-__all__ = ["Sight", "Sought", "evenly", "much"]
+__all__ = ["Eyes", "Sight", "Sought", "evenly", "much"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -56,6 +56,20 @@ _QUADS: Final = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6]
 _TRIANGLES: Final = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 
 
+class Eyes:
+    """The places (n, 3) from which targets are looked for together. `name` and `keys` identify them and each of them,
+    and are made once for all targets.
+    """
+
+    __slots__ = ("keys", "name", "places")
+
+    def __init__(self, places: F64) -> None:
+        self.places = places
+        self.name = places.tobytes()
+        size = places.itemsize * 3
+        self.keys = [self.name[at : at + size] for at in range(0, len(self.name), size)]
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class _Points:
     """The sample points of one target.
@@ -72,14 +86,38 @@ class _Points:
 
     def is_seen(self, seen: Bools) -> bool:
         """Return whether the target counts as seen. `seen` (k,) tells which of the target's points are visible."""
-        published = _share(seen[self.own :])
-        if self.own:
-            ours, enough = _share(seen[: self.own]), much(self.least, self.own)
-            if ours >= enough:
-                return True
-            if published >= enough and ours < self.least:
-                return False
-        return published >= self.least
+        return bool(self._is_enough(_share(seen[: self.own]) if self.own else 0.0, _share(seen[self.own :])))
+
+    def are_seen(self, seen: Bools) -> list[bool]:
+        """Return for each line of `seen` (n, k) whether the target counts as seen; see `is_seen`."""
+        own = np.count_nonzero(seen[:, : self.own], axis=1) / max(self.own, 1)
+        published = np.count_nonzero(seen[:, self.own :], axis=1) / (len(self.points) - self.own)
+        found: list[bool] = self._is_enough(own, published).tolist()
+        return found
+
+    def _is_enough(self, ours: Any, published: Any) -> Any:
+        """Return whether the visible shares of the two sets of points, numbers or arrays, are enough: this package's
+        own points decide if many of them are visible, or almost none although many of the published ones are.
+        """
+        if not self.own:
+            return published >= self.least
+        enough = much(self.least, self.own)
+        return (ours >= enough) | ((published >= self.least) & ((published < enough) | (ours >= self.least)))
+
+
+class _Lines:
+    """The lines of sight to one target: which of its points (k,) are visible from an eye, by the eye's key, and whether
+    the target is seen from eyes together, by their name.
+    """
+
+    def __init__(self) -> None:
+        self.seen: dict[bytes, Bools] = {}
+        self.together: dict[bytes, bool] = {}
+
+    def of(self, keys: Iterable[bytes]) -> Bools:
+        """Return the lines of sight (n, k) from eyes that are known."""
+        seen = self.seen
+        return np.array([seen[key] for key in keys])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,7 +169,7 @@ class Sight:
         self._boxes: dict[str, list[int]] = {}
         self._hiding = self._hiders(known, is_structure)
         self._points: dict[Sought, _Points | None] = {}
-        self._seen: dict[Sought, dict[bytes, Bools]] = {}
+        self._lines: dict[Sought, _Lines] = {}
         self._kept = 0
 
     def _hiders(self, known: SceneGeometry | None, is_structure: Callable[[SceneObject], bool]) -> Occluders:
@@ -151,15 +189,36 @@ class Sight:
             boxes if known is None or not len(walls) else JoinedOccluders(MeshOccluders(known.vertices, walls), boxes)
         )
 
-    def look(self, wanted: Iterable[tuple[Sought, F64]]) -> None:
-        """Cast the lines of sight of all `wanted` pairs, (target, eyes (n, 3)), together. Lines whose result is cached
-        are skipped.
+    def look(self, wanted: Iterable[tuple[Sought, Eyes]]) -> None:
+        """Cast the lines of sight of all `wanted` pairs of a target and eyes together, and find out whether each target
+        is seen from its eyes. What is known is not asked again.
         """
-        places: dict[Sought, dict[bytes, F64]] = {}
+        asked: dict[Sought, dict[bytes, Eyes]] = {}
         for sought, eyes in wanted:
-            known = self._seen.setdefault(sought, {})
-            new = places.setdefault(sought, {})
-            new.update((key, eye) for key, eye in zip(_keys(eyes), eyes, strict=True) if key not in known)
+            asked.setdefault(sought, {})[eyes.name] = eyes
+        for sought, of in asked.items():
+            known = self._lines.setdefault(sought, _Lines()).together
+            asked[sought] = {name: eyes for name, eyes in of.items() if name not in known}
+        self._cast_missing((sought, list(of.values())) for sought, of in asked.items())
+        for sought, of in asked.items():
+            where = self._where(sought)
+            if where is not None and of:
+                lines = self._lines[sought]
+                rows = lines.of(key for eyes in of.values() for key in eyes.keys)
+                sizes = np.array([len(eyes.keys) for eyes in of.values()])
+                seen = np.logical_or.reduceat(rows, np.cumsum(sizes) - sizes)
+                lines.together.update(zip(of, where.are_seen(seen), strict=True))
+
+    def _cast_missing(self, wanted: Iterable[tuple[Sought, Iterable[Eyes]]]) -> None:
+        """Cast all lines of sight that are not known."""
+        places: dict[Sought, dict[bytes, F64]] = {}
+        for sought, together in wanted:
+            known = self._lines.setdefault(sought, _Lines()).seen
+            new = places[sought] = {}
+            for its in together:
+                for key, place in zip(its.keys, its.places, strict=True):
+                    if key not in known:
+                        new[key] = place
         looks: list[_Look] = []
         waiting = 0
         for sought, of in places.items():
@@ -194,7 +253,7 @@ class Sight:
             rows = seen[at : at + len(look.keys) * len(look.where.points)].reshape(len(look.keys), -1)
             at += rows.size
             self._kept += rows.size
-            self._seen[look.sought].update(zip(look.keys, rows, strict=True))
+            self._lines[look.sought].seen.update(zip(look.keys, rows, strict=True))
 
     def floor(self, room_id: str) -> F64:
         """Return points (n, 3) on a room's floor."""
@@ -245,12 +304,19 @@ class Sight:
             missing = np.bincount(of[seen], minlength=len(things)) < enough
         return [not few for few in missing]
 
-    def is_seen(self, sought: Sought, eyes: F64, yaw: float | None = None) -> bool:
-        """Return whether enough points of a target are visible; a point counts if any of the eyes (n, 3) sees it. If
-        `yaw` is given, there must be only one eye, and it looks in the direction `yaw`.
+    def is_seen(self, sought: Sought, eyes: Eyes, yaw: float | None = None) -> bool:
+        """Return whether enough points of a target are visible; a point counts if any of the eyes sees it. If `yaw` is
+        given, there must be only one eye, and it looks in the direction `yaw`. `look` must have been asked before.
         """
         where = self._where(sought)
-        return where is not None and where.is_seen(self._together(sought, where, eyes, yaw))
+        if where is None:
+            return False
+        lines = self._lines[sought]
+        if yaw is None:
+            return lines.together[eyes.name]
+        turned = float(np.sin(yaw)), float(np.cos(yaw))
+        facing = in_front(eyes.places[0], where.points, *turned, self._reach, self._slope, self._slope)
+        return where.is_seen(lines.seen[eyes.keys[0]] & facing)
 
     def is_faced(self, sought: Sought, eyes: F64, headings: F64, angle: float) -> bool:
         """Return whether enough points of a target are visible on a walk. A point counts if it is visible from any of
@@ -267,33 +333,23 @@ class Sight:
         if not len(some):
             return False
         if self._kept > LINES_KEPT:
-            self._seen.clear()
+            self._lines.clear()
             self._kept = 0
-        self.look([(sought, eyes[some])])
-        rows = self._seen[sought]
-        keys = _keys(eyes)
-        seen: Bools = np.any([rows[keys[at]] & facing[at] for at in some], axis=0)
+        turned = Eyes(eyes[some])
+        self._cast_missing([(sought, [turned])])
+        seen: Bools = np.any(self._lines[sought].of(turned.keys) & facing[some], axis=0)
         return where.is_seen(seen)
 
-    def shares(self, sought: Sought, eyes: F64) -> list[float]:
+    def shares(self, sought: Sought, eyes: Eyes) -> list[float]:
         """Return the visible share of each of a target's sets of points: first of the points that this package chose
-        itself, if there are any, then of the published points.
+        itself, if there are any, then of the published points. `look` must have been asked before.
         """
         where = self._where(sought)
         if where is None:
             return []
-        seen = self._together(sought, where, eyes, None)
+        seen: Bools = np.any(self._lines[sought].of(eyes.keys), axis=0)
         parts = (seen[: where.own], seen[where.own :])
         return [round(_share(part), 3) for part in parts if len(part)]
-
-    def _together(self, sought: Sought, where: _Points, eyes: F64, yaw: float | None) -> Bools:
-        rows = self._seen[sought]
-        found = [rows[key] for key in _keys(eyes)]
-        seen: Bools = found[0] if len(found) == 1 else np.any(found, axis=0)
-        if yaw is None:
-            return seen
-        turned = float(np.sin(yaw)), float(np.cos(yaw))
-        return seen & in_front(eyes[0], where.points, *turned, self._reach, self._slope, self._slope)
 
     def _where(self, sought: Sought) -> _Points | None:
         """Return the sample points of a target; None if the target is not in the scene."""
@@ -354,12 +410,6 @@ class Sight:
         if not boxes:
             return None
         return np.concatenate([(middle + (_SIGNS * half) @ axes.T)[_TRIANGLES] for middle, half, axes in boxes])
-
-
-def _keys(eyes: F64) -> list[bytes]:
-    """Return the cache key of each eye (n, 3)."""
-    data, size = eyes.tobytes(), eyes.itemsize * 3
-    return [data[at : at + size] for at in range(0, len(data), size)]
 
 
 def _share(seen: Bools) -> float:

@@ -23,7 +23,7 @@ from condvln.verify.footprints import Obstacles
 from condvln.verify.ground_points import ground_points
 from condvln.verify.kernels.looking import in_front, in_range
 from condvln.verify.proof import find_navmesh
-from condvln.verify.sight import ODDS, OWN_POINTS, Sight, _Points, evenly, much
+from condvln.verify.sight import ODDS, OWN_POINTS, Eyes, Sight, _Points, evenly, much
 from schemas.config import EpisodeConfig, PlacesConfig
 from tests.condvln.episodes.floors import box, box_triangles, surfaces_of
 
@@ -82,6 +82,16 @@ def test_own_points_decide_where_they_are_sure_and_published_ones_between() -> N
     assert seen(4, 64)
 
 
+def test_many_lines_together_are_judged_as_each_by_itself() -> None:
+    draw = np.random.default_rng(4)
+    for where in (_Points(np.zeros((128, 3)), 64, -1, LEAST), _Points(np.zeros((10, 3)), 0, -1, 0.8)):
+        lines = draw.uniform(size=(300, len(where.points))) < draw.uniform(size=(300, 1)) ** 3
+        lines[::3, : where.own] = draw.uniform(size=(100, where.own)) < 0.05
+        found = where.are_seen(lines)
+        assert found == [where.is_seen(line) for line in lines]
+        assert len(set(found)) == 2
+
+
 def test_floors_and_things_known_as_a_point_have_one_set_of_points() -> None:
     floor = _Points(np.zeros((10, 3)), 0, -1, 0.8)
     assert [floor.is_seen(np.arange(10) < count) for count in (0, 7, 8, 10)] == [False, False, True, True]
@@ -92,7 +102,7 @@ def test_floors_and_things_known_as_a_point_have_one_set_of_points() -> None:
 # -- looks: an eye at x = -1, a chest at x = 1, a vase behind it at x = 3 ---------------------------------------------
 
 ROOM = Room("r", "kitchen", "kitchen", 0, 0.0, 2.5, None, "dataset", True)
-EYE = np.array([[-1.0, 0.5, 0.0]])
+EYE = Eyes(np.array([[-1.0, 0.5, 0.0]]))
 WALL = (STRUCTURE, box_triangles((0.0, 0.0, -2.0), (0.01, 2.0, 2.0)))
 FAR = (STRUCTURE, box_triangles((50.0, 0.0, 0.0), (51.0, 1.0, 1.0)))
 
@@ -139,7 +149,7 @@ def test_many_walks_of_a_scene_keep_few_lines_of_sight(monkeypatch: pytest.Monke
             for name in ("chest", "vase"):
                 found.append(sight.is_faced(("thing", name), eyes[:2], draw.uniform(0, 6, 2), 60.0))
                 sight.is_faced(("thing", name), eyes, np.zeros(20), 60.0)
-                most = max(most, sum(row.size for rows in sight._seen.values() for row in rows.values()))
+                most = max(most, sum(row.size for lines in sight._lines.values() for row in lines.seen.values()))
         return found, most
 
     unbounded, all_of_them = faced()
