@@ -24,11 +24,12 @@ from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
-from condvln.verify import Surfaces, VerifierRules, placement, proof, prove_export
+from condvln.verify import Surfaces, VerifierRules, proof, prove_export
 from condvln.verify.files import ExportFiles
 from condvln.verify.geodesics import Geodesics
 from condvln.verify.proof import SceneReader
 from condvln.verify.surfaces import Shapes
+from condvln.verify.walks import Walks
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.program import CATEGORIES
@@ -43,11 +44,13 @@ TARGET: Final = 1000
 """Target: episodes per second and core, without navmesh work."""
 
 NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
-    (Geodesics, "ask"),
+    (Geodesics, "locate"),
+    (Geodesics, "metres"),
+    (Geodesics, "routes"),
     (proof, "find_navmesh"),
     (proof, "Obstacles"),
-    (placement, "_check_budget"),
-    (proof, "check_truth"),
+    (Walks, "lengths"),
+    (proof, "check_truths"),
 )
 """Functions that query the navmesh: paths and distances, loading, the floor below furniture, and walks with discrete
 steps."""

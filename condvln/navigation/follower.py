@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -210,22 +209,33 @@ class Follower:
         )
         return Walk(places, _headings(heading, facing, self.space))
 
-    def lengths(self, starts: npt.ArrayLike, headings: Sequence[float], goals: Sequence[npt.ArrayLike]) -> list[Length]:
+    def lengths(
+        self,
+        starts: npt.ArrayLike,
+        headings: Sequence[float],
+        goals: Sequence[npt.ArrayLike] | npt.NDArray[np.float64],
+        goal_ends: Indices | None = None,
+    ) -> list[Length]:
         """Return the length of each of n walks that :meth:`follow` makes, from ``starts`` (n, 3) to each walk's own
-        goals.
+        goals. With ``goal_ends`` (n,), the goals of all walks are one array (g, 3), in which each walk's end there.
         """
         if not len(headings):
             return []
-        own = [np.atleast_2d(one) for one in goals]
-        _, ends, _, _, _, _, outcomes = self._followed(
-            *self._gaits(headings), many_points(starts), own, [len(one) for one in own]
-        )
-        counts = np.diff(ends, prepend=0).tolist()
+        first = many_points(starts)
+        if goal_ends is None:
+            own = [np.atleast_2d(one) for one in goals]
+            goal_ends, ends = np.cumsum([len(one) for one in own]), many_points(np.concatenate(own))
+        else:
+            ends = many_points(np.asarray(goals))
+        _, acted, _, _, _, _, outcomes = self._followed(*self._gaits(headings), first, ends, goal_ends)
+        counts = np.diff(acted, prepend=0).tolist()
         found = [Length(count, OUTCOMES[outcome]) for count, outcome in zip(counts, outcomes.tolist(), strict=True)]
         if not self.sliding:
             for number, length in enumerate(found):
                 if length.outcome == OUTCOMES[STUCK]:
-                    route = self.follow(many_points(starts)[number], headings[number], own[number])
+                    last = int(goal_ends[number])
+                    of = ends[int(goal_ends[number - 1]) if number else 0 : last]
+                    route = self.follow(first[number], headings[number], of)
                     found[number] = Length(len(route.actions), route.outcome)
         return found
 
@@ -237,8 +247,9 @@ class Follower:
             return []
         gait, sizes = self._gait(heading), [len(one) for one in goals]
         actions, ends, places, place_ends, arrivals, distances, outcomes = self._followed(
-            gait, gait.moves[None], np.array([heading]), one_point(start), goals, sizes
-        )
+            gait, gait.moves[None], np.array([heading]), one_point(start), many_points(np.concatenate(goals)),
+            np.cumsum(sizes),
+        )  # fmt: skip
         acted, walked, goal = 0, 0, 0
         found = []
         for size, acts, at, distance, outcome in zip(
@@ -259,15 +270,13 @@ class Follower:
         moves: Floats,
         headings: npt.NDArray[np.float64],
         starts: Floats,
-        goals: Sequence[npt.NDArray[np.float64]],
-        sizes: Sequence[int],
+        goals: Floats,
+        goal_ends: Indices,
     ) -> tuple[npt.NDArray[np.int8], Indices, Floats, Indices, Indices, Floats, Indices]:
         limits = Limits(np.float32(self.stop_within), np.float32(self.arrive_within))
-        ends = np.array(list(accumulate(sizes)), np.int64)
         return follow_many(
-            self.pathfinder.query_mesh, gait, moves, headings, starts, many_points(np.concatenate(goals)), ends, limits,
-            self.max_actions,
-        )  # fmt: skip
+            self.pathfinder.query_mesh, gait, moves, headings, starts, goals, goal_ends, limits, self.max_actions
+        )
 
     def places(
         self, starts: npt.ArrayLike, headings: Sequence[float], actions: Sequence[npt.NDArray[np.int8]]
@@ -285,8 +294,10 @@ class Follower:
         return np.split(places, place_ends[:-1])
 
     def _gaits(self, headings: Sequence[float]) -> tuple[Gait, Floats, npt.NDArray[np.float64]]:
-        gaits = [self._gait(heading) for heading in headings]
-        return gaits[0], np.array([gait.moves for gait in gaits]), np.array(headings, np.float64)
+        different, which = np.unique(np.array(headings, np.float64), return_inverse=True)
+        gaits = [self._gait(heading) for heading in different.tolist()]
+        moves: Floats = np.array([gait.moves for gait in gaits])[which]
+        return self._gait(headings[0]), moves, different[which]
 
     def stepped(self, start: npt.ArrayLike, heading: float) -> SteppedWalk:
         """Return a walk for an agent that chooses each action after seeing the current pose."""

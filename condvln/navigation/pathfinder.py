@@ -204,12 +204,18 @@ class Pathfinder:
 
     def find_paths(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> list[ShortestPath]:
         """Return the paths of n pairs. A single start is paired with every end, and a single end with every start."""
-        lengths, counts, points = routes(self.query_mesh, *paired_points(starts, ends), True)
+        lengths, counts, points = self.path_corners(starts, ends)
         pieces = np.split(points, np.cumsum(counts)[:-1])
         return [
             ShortestPath(float(length), piece, 0 if len(piece) else -1)
             for length, piece in zip(lengths, pieces, strict=False)
         ]
+
+    def path_corners(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> tuple[Floats, Indices, Floats]:
+        """Return the paths of n pairs as arrays: their lengths (n,), the number of corners of each (n,), 0 if there is
+        no path, and the corners of all (k, 3), one path after the other. See :meth:`find_paths`.
+        """
+        return routes(self.query_mesh, *paired_points(starts, ends), True)
 
     def find_multi_goal_path(self, start: npt.ArrayLike, ends: npt.ArrayLike) -> ShortestPath:
         """Return the shortest of the paths to several ends; ends off the navmesh are ignored."""

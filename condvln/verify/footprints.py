@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -117,6 +117,14 @@ class Reach:
             known.update(zip(new, zip(ground.distances(points).tolist(), here.tolist(), strict=True), strict=True))
         away, inside = zip(*[known[position] for position in positions], strict=True)
         return away, inside
+
+    def gather(self, positions: Iterable[tuple[str, Sequence[Point]]]) -> None:
+        """Measure positions of many objects, given by their ids. `around` then finds all that was measured here."""
+        of_object: dict[str, dict[Point, None]] = {}
+        for object_id, places in positions:
+            of_object.setdefault(object_id, {}).update(dict.fromkeys(places))
+        for object_id, of in of_object.items():
+            self.around(object_id, tuple(of))
 
     def half_round(self, object_id: str) -> float | None:
         """Return half of the perimeter of the object's footprint in metres; None if the object does not exist."""

@@ -1,13 +1,11 @@
 """Check starts, goals and paths of a scene's episodes against the scene's navmesh and its objects' boxes.
 
-All leaves are checked by the same rules, as if each were gold.
+All leaves are checked by the same rules, as if each were gold, and all those of a scene together, fact by fact.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from itertools import chain, pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,85 +14,28 @@ from numpy.typing import NDArray
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate
+from condvln.verify.findings import Findings
 from condvln.verify.footprints import Obstacles, Reach
-from condvln.verify.geodesics import Geodesics, Point
+from condvln.verify.geodesics import Geodesics, Routes
 from condvln.verify.heading import yaw_of
 from condvln.verify.kernels.separation import clearances, near_goals
 from condvln.verify.rules import VerifierRules
-from condvln.verify.walks import Walks, Way
+from condvln.verify.scene_leaves import ROUNDING, SceneLeaves, Target, ranges
+from condvln.verify.walks import Walks
 from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
-from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["check_placement"]
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 MILLIMETRE: Final = 0.001
 """Tolerances in metres between recomputed lengths and corners and the published ones."""
-ROUNDING: Final = 1e-6
-"""Tolerance in metres by which a distance may violate a bound because of rounding."""
-LEAF_NAMES: Final = tuple(f"leaf {k}" for k in range(8))
-
 
 Verdict = tuple[str, bool, Any, Any]
 """A fact, whether it holds, and the claimed and the found value."""
-
-
-class _Target:
-    """An object, and the places from which an agent reaches it: the goals of a leaf, or one subgoal. Many leaves of a
-    scene share it, so that what holds of it alone is found once.
-
-    points : index of each place
-    away, here : for each place, metres from the object, and whether it is on its floor and in its room; empty if the
-        object does not exist
-    around : queries from each place nearest to the object to all places
-    near, side : verdicts on these, and on whether a wall is between the places; None until they are asked for
-    """
-
-    def __init__(self, object_id: str, places: tuple[Point, ...], reach: Reach, walks: Geodesics) -> None:
-        self.object_id, self.places = object_id, places
-        self.points = tuple([walks.point(place) for place in places])
-        self.away, self.here = reach.around(object_id, places)
-        # Several may be nearest within rounding; the wall check starts from each of them.
-        least = min(self.away, default=0.0) + ROUNDING
-        nearest = [one for one, metres in zip(self.points, self.away or (0.0,), strict=False) if metres <= least]
-        self.around = [[walks.pair(one, other) for other in self.points] for one in nearest]
-        self.near: list[Verdict] | None = None
-        self.side: list[Verdict] | None = None
-
-
-class _Leaf(NamedTuple):
-    """One leaf, with the indices of its points and queries.
-
-    end : index of the goal at which its path ends
-    target, subgoals : its object, and those of its stops before
-    direct : queries from the start to the goals; final : from the last stop to the goals; first : from the start to the
-        subgoals; legs : from stop to stop
-    """
-
-    leaf: EpisodeLeaf
-    end: int
-    target: _Target
-    subgoals: tuple[_Target, ...]
-    stops: tuple[int, ...]
-    direct: tuple[int, ...]
-    final: tuple[int, ...]
-    first: tuple[int, ...]
-    legs: tuple[int, ...]
-
-
-class _Placed(NamedTuple):
-    """A row's start and leaves.
-
-    gaps : by pair of leaves the queries about their goals, if a straight line does not show that they are apart
-    clearances (l, l) : least metres from each leaf's path to another leaf's goals
-    """
-
-    start: int
-    leaves: tuple[_Leaf, ...]
-    gaps: dict[tuple[int, int], list[int]]
-    clearances: list[list[float]]
 
 
 def check_placement(
@@ -109,187 +50,259 @@ def check_placement(
     walls: bool,
 ) -> None:
     """Check all positions, paths and distances of the episodes of one scene. `walls`: the scene's walls are known."""
-    lines = _Lines(rows)
-    checker = _Checker(scene, rules, walls)
-    placed = checker.note(rows, lines)
-    checker.walks.ask(pathfinder)
-    checker.look_out(obstacles)
-    crossed = iter(obstacles.crossed(lines.corners, lines.corner_ends))
-    groups = _Groups(rows)
-    ways = [_ways(row, places) for row, places in zip(rows, placed, strict=True)]
-    walks.ask(way for its in ways for way in its)
-    for row, certificate, places, its in zip(rows, certificates, placed, ways, strict=True):
-        met = [next(crossed) for _ in row.leaves]
-        certificate.holds("in_the_way", met.count(None) == len(met), "free paths", met, "paths")
-        checker.check(row, places, certificate)
-        _check_budget(row, its, groups, walks, rules, certificate)
+    geodesics = Geodesics(pathfinder)
+    placed = SceneLeaves(rows, geodesics)
+    findings = Findings(placed.row_ends)
+    _Checker(rows, placed, geodesics, findings, scene, rules, walls).check(obstacles)
+    _check_budgets(rows, placed, geodesics.points, findings, walks, rules)
+    findings.record(certificates)
 
 
-class _Lines:
-    """The paths and goals of all leaves of a scene's rows, concatenated.
+class _Metres(NamedTuple):
+    """Geodesic distances in metres.
 
-    corners (n, 3), goals (m, 3); corner_ends, goal_ends (l,) : end index of each leaf; row_ends (r,) : end index of
-        each row's leaves
+    direct (g,), final (g,) : to each goal of each leaf, from the start and from the leaf's stop before its goal
+    first (s,) : from the start to each subgoal
+    around : by target, from each place nearest to the object to all places (n, k), if it is the goal of a leaf
+    gaps (p,) : between the goals of two leaves, the shorter of the two directions
     """
 
-    def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
-        leaves = [leaf for row in rows for leaf in row.leaves]
-        self.corners = _points([leaf.reference_path for leaf in leaves])
-        self.goals = _points([leaf.goals for leaf in leaves])
-        self.corner_ends = np.cumsum([len(leaf.reference_path) for leaf in leaves])
-        self.goal_ends = np.cumsum([len(leaf.goals) for leaf in leaves])
-        self.row_ends = np.cumsum([len(row.leaves) for row in rows])
-
-    def clearances(self) -> list[list[float]]:
-        """Return for each leaf the distances in metres from its path to the nearest goal of every leaf of the same
-        episode. The entry of the leaf itself is infinite.
-
-        A straight line is never longer than a path, so a path with enough clearance by it never enters the success
-        ball.
-        """
-        widest = int(np.diff(self.row_ends, prepend=0).max())
-        squares = clearances(self.corners, self.corner_ends, self.goals, self.goal_ends, self.row_ends, widest)
-        found: list[list[float]] = np.sqrt(squares).tolist()
-        return found
-
-    def near_goals(self, within: float) -> list[list[int]]:
-        """Return the pairs of goals that are less than `within` metres apart in a straight line. Only these can violate
-        the minimum gap between two leaves.
-        """
-        found: list[list[int]] = near_goals(self.goals, self.goal_ends, self.row_ends, within).tolist()
-        return found
+    direct: F64
+    final: F64
+    first: F64
+    around: list[F64]
+    gaps: F64
 
 
 class _Checker:
-    def __init__(self, scene: Scene, rules: VerifierRules, walls: bool) -> None:
-        self.detour_at_goal = FURNITURE_DETOUR if walls else WALL_DETOUR
+    def __init__(
+        self,
+        rows: Sequence[ManifestEpisode],
+        placed: SceneLeaves,
+        geodesics: Geodesics,
+        findings: Findings,
+        scene: Scene,
+        rules: VerifierRules,
+        walls: bool,
+    ) -> None:
+        self._rows, self._placed, self._geodesics, self._findings = rows, placed, geodesics, findings
+        self._detour_at_goal = FURNITURE_DETOUR if walls else WALL_DETOUR
         single = scene.single_room
-        self.goals, self.island_radius = rules.goals, rules.places.island_radius
-        self.success = rules.places.success(single)
-        self.range = rules.episodes.range(single)
-        self.single, self.detour = single, (rules.episodes.detour_factor, rules.episodes.detour_slack)
-        self.separation = rules.places.leaf_separation(single)
-        self.walks = Geodesics()
-        self.reach = Reach(scene)
-        self._targets: dict[tuple[str, tuple[Point, ...]], _Target] = {}
-        self._fans: dict[tuple[int, tuple[int, ...]], tuple[int, ...]] = {}
-        self._inside: dict[int, str] = {}
-        self._astray: set[int] = set()
+        self._goals, self._island_radius = rules.goals, rules.places.island_radius
+        self._success = rules.places.success(single)
+        self._range = rules.episodes.range(single)
+        self._single, self._detour = single, (rules.episodes.detour_factor, rules.episodes.detour_slack)
+        self._separation = rules.places.leaf_separation(single)
+        self._reach = Reach(scene)
+        self._reach.gather((target.object_id, target.places) for target in placed.targets)
+        for target in placed.targets:
+            target.measure(self._reach)
+
+    def check(self, obstacles: Obstacles) -> None:
+        """Check all facts of all rows."""
+        placed, findings, rows = self._placed, self._findings, self._rows
+        near = near_goals(
+            self._geodesics.points[placed.goals],
+            placed.goal_ends,
+            placed.row_ends,
+            self._separation + 2 * np.sqrt(2) * SNAP_TOLERANCE,
+        )
+        metres = self._ask(near)
+        self._check_crossings(obstacles)
+        right = np.array([row.success_distance == self._success for row in rows])
+        findings.rows("success_distance", right, lambda k: (rows[k].success_distance, self._success))
+        self._check_places(obstacles)
+        objects = [_objects(row) for row in rows]
+        findings.rows("leaf_objects", np.array([one == other for one, other in objects]), lambda k: objects[k])
+        self._check_targets(metres.around)
+        self._check_routes(metres)
+        self._check_gaps(near, metres.gaps)
+        self._check_clearances()
+        gold = [row.leaves[row.gold_leaf] if 0 <= row.gold_leaf < len(row.leaves) else None for row in rows]
+        lengths = [
+            ((row.geodesic_distance, row.route_length), leaf and (leaf.geodesic_distance, leaf.route_length))
+            for row, leaf in zip(rows, gold, strict=True)
+        ]
+        findings.rows(
+            "geodesic_distance",
+            np.array([claimed == found for claimed, found in lengths]),
+            lambda k: lengths[k],
+            "gold leaf",
+            of=np.array([leaf is not None for leaf in gold]),
+        )
 
     # -- queries to the navmesh
     # -------------------------------------------------------------------------------------------
 
-    def note(self, rows: Sequence[ManifestEpisode], lines: _Lines) -> list[_Placed]:
-        """Hand all path queries of all rows to `walks`, which answers them together; return the queries' numbers."""
-        away = lines.clearances()
-        near = iter(lines.near_goals(self.separation + 2 * math.sqrt(2) * SNAP_TOLERANCE))
-        pair = next(near, None)
-        placed = []
-        first, first_goal = 0, 0
-        for row in rows:
-            start = self.walks.point(row.start_position)
-            leaves = tuple([self._note_leaf(start, leaf) for leaf in row.leaves])
-            names = [goal for leaf in leaves for goal in leaf.target.points]
-            last = first + len(leaves)
-            gaps: dict[tuple[int, int], list[int]] = {}
-            while pair is not None and pair[0] < last:
-                one, other, goal, other_goal = pair
-                ends = names[goal - first_goal], names[other_goal - first_goal]
-                # Detour's path back may be shorter than its path there.
-                asked = (self.walks.pair(*ends), self.walks.pair(*reversed(ends)))
-                gaps.setdefault((one - first, other - first), []).extend(asked)
-                pair = next(near, None)
-            placed.append(_Placed(start, leaves, gaps, [line[: len(leaves)] for line in away[first:last]]))
-            first, first_goal = last, first_goal + len(names)
-        return placed
+    def _ask(self, near: I64) -> _Metres:
+        """Return all distances that the checks need, which are found together."""
+        placed = self._placed
+        goal_counts, stop_counts = np.diff(placed.goal_ends, prepend=0), np.diff(placed.stop_ends, prepend=0)
+        start = placed.start[placed.row]
+        before = start.copy()
+        after_others = np.flatnonzero(stop_counts)
+        before[after_others] = placed.stops[placed.stop_ends[after_others] - 1]
+        fans = [(target.nearest if target.is_goal else [], target.points) for target in placed.targets]
+        one, other = placed.goals[near[:, 2]], placed.goals[near[:, 3]]
+        asked = [
+            (np.repeat(start, goal_counts), placed.goals),
+            (np.repeat(before, goal_counts), placed.goals),
+            (np.repeat(start, stop_counts), placed.stops),
+            (
+                np.array([near for nearest, points in fans for near in nearest for _ in points], dtype=np.int64),
+                np.array([point for nearest, points in fans for _ in nearest for point in points], dtype=np.int64),
+            ),
+            # Detour's path back may be shorter than its path there.
+            (one, other),
+            (other, one),
+        ]
+        ones, others = (np.concatenate(part) for part in zip(*asked, strict=True))
+        found = self._geodesics.metres(ones, others)
+        direct, final, first, around, there, back = np.split(found, np.cumsum([len(part) for part, _ in asked])[:-1])
+        shapes = [(len(nearest), len(points)) for nearest, points in fans]
+        ends = np.cumsum([rows * columns for rows, columns in shapes]).tolist()
+        tables = [around[end - n * k : end].reshape(n, k) for (n, k), end in zip(shapes, ends, strict=True)]
+        return _Metres(direct, final, first, tables, np.minimum(there, back))
 
-    def _note_leaf(self, start: int, leaf: EpisodeLeaf) -> _Leaf:
-        target = self._target(leaf.object_id, leaf.goals)
-        subgoals = tuple([self._target(subgoal.object_id, (subgoal.position,)) for subgoal in leaf.subgoals])
-        before = tuple([subgoal.points[0] for subgoal in subgoals])
-        end = _end(leaf)
-        stops = (start, *before, target.points[end])
-        direct = self._fan(start, target.points)
-        return _Leaf(
-            leaf=leaf,
-            end=end,
-            target=target,
-            subgoals=subgoals,
-            stops=stops,
-            direct=direct,
-            final=self._fan(stops[-2], target.points) if before else direct,
-            first=self._fan(start, before),
-            legs=tuple([self.walks.leg(one, other) for one, other in pairwise(stops)]),
+    def _legs(self) -> tuple[Routes, I64]:
+        """Return the paths from stop to stop of each leaf, concatenated, and the end index (l,) of each leaf's."""
+        placed = self._placed
+        stop_counts = np.diff(placed.stop_ends, prepend=0)
+        leg_ends = np.cumsum(stop_counts + 1)
+        ones, others = np.empty(leg_ends[-1], np.int64), np.empty(leg_ends[-1], np.int64)
+        last, first = leg_ends - 1, leg_ends - stop_counts - 1
+        inner = np.ones(len(ones), dtype=bool)
+        inner[last] = False
+        others[inner], others[last] = placed.stops, placed.goals[placed.ends_of_paths()]
+        inner[:] = True
+        inner[first] = False
+        ones[inner], ones[first] = placed.stops, placed.start[placed.row]
+        return self._geodesics.routes(ones, others), leg_ends
+
+    # -- facts of rows
+    # ----------------------------------------------------------------------------------------------------
+
+    def _check_crossings(self, obstacles: Obstacles) -> None:
+        placed, ends = self._placed, self._placed.row_ends
+        met = obstacles.crossed(placed.corners, placed.corner_ends)
+        free = np.ones(len(ends), dtype=bool)
+        free[placed.row[[leaf for leaf, name in enumerate(met) if name is not None]]] = False
+        self._findings.rows(
+            "in_the_way",
+            free,
+            lambda k: ("free paths", met[int(ends[k - 1]) if k else 0 : int(ends[k])]),
+            "paths",
         )
 
-    def _target(self, object_id: str, places: tuple[Point, ...]) -> _Target:
-        target = self._targets.get((object_id, places))
-        if target is None:
-            target = self._targets[object_id, places] = _Target(object_id, places, self.reach, self.walks)
-        return target
+    def _check_places(self, obstacles: Obstacles) -> None:
+        """Check that all points of a row are on the navmesh, on one island, and outside obstacles."""
+        placed, at, findings = self._placed, self._geodesics, self._findings
+        rows = len(placed.row_ends)
+        goal_counts, stop_counts = np.diff(placed.goal_ends, prepend=0), np.diff(placed.stop_ends, prepend=0)
+        points = np.concatenate([placed.start, placed.goals, placed.stops])
+        row = np.concatenate([np.arange(rows), np.repeat(placed.row, goal_counts), np.repeat(placed.row, stop_counts)])
 
-    def _fan(self, one: int, others: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the queries from one point to others."""
-        fan = self._fans.get((one, others))
-        if fan is None:
-            fan = self._fans[one, others] = tuple([self.walks.pair(one, other) for other in others])
-        return fan
+        def named(k: int, chosen: Bools) -> list[int]:
+            return sorted(set(points[(row == k) & chosen].tolist()))
 
-    def look_out(self, obstacles: Obstacles) -> None:
-        """Find out which of the registered points are off the navmesh, and which are inside obstacles."""
-        blocked = obstacles.holding(self.walks.points)
-        self._inside = {p: name for p, name in enumerate(blocked) if name is not None}
-        self._astray = set(np.flatnonzero(~(self.walks.moved <= SNAP_TOLERANCE)).tolist())
+        def without(chosen: Bools) -> Bools:
+            good = np.ones(rows, dtype=bool)
+            good[row[chosen]] = False
+            return good
 
-    # -- results
-    # ----------------------------------------------------------------------------------------------------------
+        astray = ~(at.moved <= SNAP_TOLERANCE)[points]
+        findings.rows(
+            "standable", without(astray), lambda k: ("on the floor", [at.positions[p] for p in named(k, astray)])
+        )
+        islands = at.islands[points]
+        findings.rows(
+            "island",
+            without(islands != islands[row]),
+            lambda k: ("one island", sorted(set(islands[row == k].tolist()))),
+        )
+        radii, least = at.island_radii[placed.start], self._island_radius
+        findings.rows("island", radii >= least, lambda k: (f"radius of at least {least}", float(radii[k])), "start")
+        blocking = obstacles.holding(at.points)
+        blocked = np.array([name is not None for name in blocking])[points]
+        findings.rows(
+            "in_the_way", without(blocked), lambda k: ("free points", [blocking[p] for p in named(k, blocked)])
+        )
 
-    def check(self, row: ManifestEpisode, placed: _Placed, certificate: Certificate) -> None:
-        """Check one row against the results."""
-        certificate.same("success_distance", row.success_distance, self.success)
-        self._check_stand(placed, certificate)
-        numbers = [leaf.leaf for leaf in row.leaves]
-        moves = [[move.object_id for move in leaf.moves] for leaf in row.program.leaves]
-        objects = [[*(s.object_id for s in leaf.subgoals), leaf.object_id] for leaf in row.leaves]
-        certificate.same("leaf_objects", (numbers, objects), ([*range(len(moves))], moves))
-        for leaf, name in zip(placed.leaves, LEAF_NAMES, strict=False):
-            self._check_reach(leaf, certificate, name)
-            self._check_route(row, leaf, certificate, name)
-        self._check_apart(placed, certificate)
-        if 0 <= row.gold_leaf < len(row.leaves):
-            gold = row.leaves[row.gold_leaf]
-            claimed = (row.geodesic_distance, row.route_length)
-            certificate.same("geodesic_distance", claimed, (gold.geodesic_distance, gold.route_length), "gold leaf")
+    def _check_gaps(self, near: I64, metres: F64) -> None:
+        """Check that the goals of the leaves of a row are far enough apart. A straight line already shows it for all
+        but the goals `near` each other.
+        """
+        placed = self._placed
+        sizes = np.diff(placed.row_ends, prepend=0)
+        self._findings.count("leaves_apart", sizes * (sizes - 1) // 2)
+        pairs, first = np.unique(near[:, 0] * len(placed.leaves) + near[:, 1], return_index=True)
+        if not len(pairs):
+            return
+        least = np.minimum.reduceat(metres, first)
+        for at in np.flatnonzero(~(least >= self._separation - ROUNDING)).tolist():
+            leaf, other = near[first[at], :2].tolist()
+            row = int(placed.row[leaf])
+            begin = int(placed.row_ends[row] - sizes[row])
+            self._findings.refute_row(
+                row, "leaves_apart", self._separation, float(least[at]), f"leaves {leaf - begin} and {other - begin}"
+            )
 
-    def _check_stand(self, placed: _Placed, certificate: Certificate) -> None:
-        walks = self.walks
-        points = {placed.start}.union(*[leaf.stops + leaf.target.points for leaf in placed.leaves])
-        off = [walks.positions[p] for p in sorted(points & self._astray)]
-        certificate.holds("standable", not off, "on the floor", off)
-        islands = {walks.islands[p] for p in points}
-        certificate.holds("island", len(islands) == 1, "one island", sorted(islands))
-        radius, least = walks.island_radii[placed.start], self.island_radius
-        certificate.holds("island", radius >= least, f"radius of at least {least}", radius, "start")
-        inside = [self._inside[p] for p in sorted(points & self._inside.keys())]
-        certificate.holds("in_the_way", not inside, "free points", inside)
+    def _check_clearances(self) -> None:
+        """Check that no path of a leaf enters the success ball of another leaf of its row. A straight line is never
+        longer than a path, so a path with enough clearance by it never enters the ball.
+        """
+        placed = self._placed
+        sizes = np.diff(placed.row_ends, prepend=0)
+        self._findings.count("path_apart", sizes * (sizes - 1))
+        squares = clearances(
+            placed.corners,
+            placed.corner_ends,
+            self._geodesics.points[placed.goals],
+            placed.goal_ends,
+            placed.row_ends,
+            int(sizes.max()),
+        )
+        away = np.sqrt(squares)
+        for leaf, other in np.argwhere(away < self._success - ROUNDING).tolist():
+            row = int(placed.row[leaf])
+            name = f"path of leaf {leaf - int(placed.row_ends[row] - sizes[row])} and leaf {other}"
+            self._findings.refute_row(row, "path_apart", self._success, float(away[leaf, other]), name)
 
-    def _check_reach(self, placed: _Leaf, certificate: Certificate, name: str) -> None:
-        target = placed.target
-        for one in (*placed.subgoals, target):
-            if one.near is None:
-                one.near = self._judge_reach(one)
-            for verdict in one.near:
-                certificate.holds(*verdict, name)
-        if target.side is None:
-            target.side = self._judge_side(target)
-        for verdict in target.side:
-            certificate.holds(*verdict, name)
+    # -- facts of leaves
+    # ----------------------------------------------------------------------------------------------------
 
-    def _judge_reach(self, target: _Target) -> list[Verdict]:
+    def _check_targets(self, around: Sequence[F64]) -> None:
+        """Check the goals of each leaf and its subgoals. What holds of a target is found once."""
+        placed, findings = self._placed, self._findings
+        near = [self._judge_reach(target) for target in placed.targets]
+        side = [
+            self._judge_side(target, its) if target.is_goal else []
+            for target, its in zip(placed.targets, around, strict=True)
+        ]
+        stop_counts = np.diff(placed.stop_ends, prepend=0)
+        leaf = np.concatenate([np.repeat(np.arange(len(placed.leaves)), stop_counts), np.arange(len(placed.leaves))])
+        of = np.concatenate([placed.stops_of, placed.goals_of])
+        for fact, judged, leaves, targets in (
+            ("goal_reach", near, leaf, of),
+            ("goal_side", side, np.arange(len(placed.leaves)), placed.goals_of),
+        ):
+            checks = np.array([len(verdicts) for verdicts in judged], dtype=np.int64)[targets]
+            rows = np.bincount(placed.row[leaves], weights=checks, minlength=len(placed.row_ends))
+            findings.count(fact, rows.astype(np.int64))
+        good = np.array([all(held for _, held, _, _ in (*n, *s)) for n, s in zip(near, side, strict=True)])
+        findings.leaf_by_leaf()
+        for k in sorted(set(leaf[~good[of]].tolist())):
+            own = [*of[leaf == k].tolist()]
+            for verdicts in [*(near[target] for target in own), side[own[-1]]]:
+                for fact, held, claimed, found in verdicts:
+                    if not held:
+                        findings.refute_leaf(k, fact, claimed, found)
+
+    def _judge_reach(self, target: Target) -> list[Verdict]:
         if not target.away:
             return [("goal_reach", False, target.object_id, "no such object")]
         # Farther points are used only if no nearer one is walkable, so never both.
-        reach = self.goals.reach if min(target.away) <= self.goals.reach else self.goals.reach_at_most
+        reach = self._goals.reach if min(target.away) <= self._goals.reach else self._goals.reach_at_most
         farthest = max(target.away)
         wrong = [place for place, good in zip(target.places, target.here, strict=True) if not good]
         return [
@@ -297,132 +310,148 @@ class _Checker:
             ("goal_reach", not wrong, ("on the floor and in the room of", target.object_id), wrong),
         ]
 
-    def _judge_side(self, target: _Target) -> list[Verdict]:
+    def _judge_side(self, target: Target, around: F64) -> list[Verdict]:
         found: list[Verdict] = []
-        half = self.reach.half_round(target.object_id)
+        half = self._reach.half_round(target.object_id)
         if half is not None:
-            walk = min(max(self.walks.metres(ways)) for ways in target.around)
-            most = half + self.detour_at_goal
+            walk = float(around.max(axis=1).min())
+            most = half + self._detour_at_goal
             found.append(("goal_side", walk <= most + ROUNDING, most, walk))
-        few = len(target.places) <= self.goals.points
-        found.append(("goal_side", few, self.goals.points, len(target.places)))
+        few = len(target.places) <= self._goals.points
+        found.append(("goal_side", few, self._goals.points, len(target.places)))
         return found
 
-    def _check_route(self, row: ManifestEpisode, placed: _Leaf, certificate: Certificate, name: str) -> None:
-        leaf, walks = placed.leaf, self.walks
-        direct = min(walks.metres(placed.direct))
-        certificate.close("geodesic_distance", leaf.geodesic_distance, direct, MILLIMETRE, name)
-        first = walks.metres(placed.direct)[0]
-        certificate.holds("goal_order", first <= direct + MILLIMETRE, first, direct, name)
-        final = walks.metres(placed.final)
-        reached = final[placed.end]
-        certificate.holds("route_end", reached <= min(final) + MILLIMETRE, reached, min(final), name)
-        ways = [walks.way(leg) for leg in placed.legs]
-        certificate.close("route_length", leaf.route_length, math.fsum(length for length, _ in ways), MILLIMETRE, name)
-        corners = (row.start_position, *(corner for _, path in ways for corner in path[1:]))
-        agreed = leaf.reference_path == corners or _are_close(leaf.reference_path, corners)
-        certificate.holds("reference_path", agreed, leaf.reference_path, corners, name)
-        low, high = self.range
-        certificate.holds("distance_range", low <= direct <= high, (low, high), direct, name)
-        if not self.single:
-            most = self.detour[0] * direct + self.detour[1]
-            certificate.holds("detour", leaf.route_length <= most + MILLIMETRE, most, leaf.route_length, name)
-        nearest = min(direct, *walks.metres(placed.first)) if placed.first else direct
-        certificate.holds("start_apart", nearest > 2 * self.success, 2 * self.success, nearest, name)
-
-    def _check_apart(self, placed: _Placed, certificate: Certificate) -> None:
-        n = len(placed.leaves)
-        certificate.checked["leaves_apart"] += n * (n - 1) // 2 - len(placed.gaps)
-        for (k, j), pairs in placed.gaps.items():
-            gap = min(self.walks.metres(pairs))
-            agreed = gap >= self.separation - ROUNDING
-            certificate.holds("leaves_apart", agreed, self.separation, gap, f"leaves {k} and {j}")
-        certificate.checked["path_apart"] += n * (n - 1)
-        for k, away in enumerate(placed.clearances):
-            if min(away) < self.success - ROUNDING:
-                for j, metres in enumerate(away):
-                    if metres < self.success - ROUNDING:
-                        name = f"path of leaf {k} and leaf {j}"
-                        certificate.checked["path_apart"] -= 1
-                        certificate.holds("path_apart", False, self.success, metres, name)
-
-
-def _points(lists: Sequence[Sequence[Point]]) -> F64:
-    """Return the points (n, 3) of all lists."""
-    points = chain.from_iterable(lists)
-    return np.fromiter(chain.from_iterable(points), np.float64, 3 * sum(map(len, lists))).reshape(-1, 3)
-
-
-def _end(leaf: EpisodeLeaf) -> int:
-    """Return the index, among a leaf's goals, of the goal at which the leaf's path ends."""
-    last = leaf.reference_path[-1]
-    return min(range(len(leaf.goals)), key=lambda k: math.dist(leaf.goals[k], last))
-
-
-class _Groups:
-    """The number of words of each text, by counterfactual group. All step budgets of a group follow from the group's
-    longest text.
-    """
-
-    def __init__(self, rows: Sequence[ManifestEpisode]) -> None:
-        self._words: dict[str, list[int]] = {}
-        for row in rows:
-            if row.group_id is not None:
-                self._words.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
-
-    def words(self, row: ManifestEpisode, certificate: Certificate) -> int:
-        """Return the number of words that determines a row's step budget: the words of the longest text in the row's
-        group, or of the row's own text if it has no group.
-        """
-        if row.group_id is None:
-            return len(row.instruction_text.split())
-        members = self._words[row.group_id]
-        certificate.same("group", GROUP_SIZE, len(members), f"members of {row.group_id}")
-        return max(members)
-
-
-def _ways(row: ManifestEpisode, placed: _Placed) -> list[Way]:
-    """Return the walks to the leaves of a row; none if its rotation is not about the vertical axis."""
-    yaw = yaw_of(row.start_rotation)
-    if yaw is None:
-        return []
-    return [
-        (
-            row.start_position,
-            yaw,
-            (*[subgoal.places[0] for subgoal in leaf.subgoals], leaf.target.places[leaf.end]),
+    def _check_routes(self, metres: _Metres) -> None:
+        placed, findings, leaves = self._placed, self._findings, self._placed.leaves
+        first_goal = placed.goal_ends - np.diff(placed.goal_ends, prepend=0)
+        direct = np.minimum.reduceat(metres.direct, first_goal)
+        claimed = np.array([leaf.geodesic_distance for leaf in leaves])
+        findings.leaves(
+            "geodesic_distance",
+            np.abs(claimed - direct) <= MILLIMETRE,
+            lambda k: (leaves[k].geodesic_distance, float(direct[k])),
         )
-        for leaf in placed.leaves
-    ]
+        first = metres.direct[first_goal]
+        findings.leaves("goal_order", first <= direct + MILLIMETRE, lambda k: (float(first[k]), float(direct[k])))
+        reached, final = metres.final[placed.ends_of_paths()], np.minimum.reduceat(metres.final, first_goal)
+        findings.leaves("route_end", reached <= final + MILLIMETRE, lambda k: (float(reached[k]), float(final[k])))
+        legs, leg_ends = self._legs()
+        lengths = np.add.reduceat(legs.metres, np.concatenate([[0], leg_ends[:-1]]))
+        routes = np.array([leaf.route_length for leaf in leaves])
+        findings.leaves(
+            "route_length",
+            np.abs(routes - lengths) <= MILLIMETRE,
+            lambda k: (leaves[k].route_length, float(lengths[k])),
+        )
+        self._check_corners(legs, leg_ends)
+        low, high = self._range
+        findings.leaves("distance_range", (low <= direct) & (direct <= high), lambda k: ((low, high), float(direct[k])))
+        if not self._single:
+            most = self._detour[0] * direct + self._detour[1]
+            findings.leaves("detour", routes <= most + MILLIMETRE, lambda k: (float(most[k]), leaves[k].route_length))
+        nearest = direct.copy()
+        stop_counts = np.diff(placed.stop_ends, prepend=0)
+        np.minimum.at(nearest, np.repeat(np.arange(len(leaves)), stop_counts), metres.first)
+        apart = 2 * self._success
+        findings.leaves("start_apart", nearest > apart, lambda k: (apart, float(nearest[k])))
+
+    def _check_corners(self, legs: Routes, leg_ends: I64) -> None:
+        """Check that the corners of each leaf's path are its start and those of the paths from stop to stop."""
+        placed, leaves = self._placed, self._placed.leaves
+        more = np.maximum(legs.count - 1, 0)  # each path begins where the one before it ended
+        own = placed.row
+        firsts = np.concatenate([[0], leg_ends[:-1]])
+        counts = 1 + np.add.reduceat(more, firsts)
+        ends = np.cumsum(counts)
+        found = np.empty((int(ends[-1]), 3))
+        starting = np.zeros(len(found), dtype=bool)
+        starting[ends - counts] = True
+        found[starting] = self._geodesics.points[placed.start[own]]
+        found[~starting] = legs.corners[ranges(legs.first + 1, more)]
+        claimed = np.diff(placed.corner_ends, prepend=0)
+        equal = counts == claimed
+        off = np.abs(found[np.repeat(equal, counts)] - placed.corners[np.repeat(equal, claimed)]).max(axis=1)
+        agreed = equal.copy()
+        agreed[np.repeat(np.flatnonzero(equal), counts[equal])[~(off <= MILLIMETRE + ROUNDING)]] = False
+
+        def details(k: int) -> tuple[Any, Any]:
+            path = found[int(ends[k] - counts[k]) : int(ends[k])].tolist()
+            return leaves[k].reference_path, tuple(tuple(corner) for corner in path)
+
+        self._findings.leaves("reference_path", agreed, details)
 
 
-def _check_budget(
-    row: ManifestEpisode,
-    ways: Sequence[Way],
-    groups: _Groups,
+def _objects(row: ManifestEpisode) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Return the numbers and objects of a row's leaves, as its leaves and as its program have them."""
+    numbers = [leaf.leaf for leaf in row.leaves]
+    objects = [[*(stop.object_id for stop in leaf.subgoals), leaf.object_id] for leaf in row.leaves]
+    moves = [[move.object_id for move in leaf.moves] for leaf in row.program.leaves]
+    return (numbers, objects), ([*range(len(moves))], moves)
+
+
+def _check_budgets(
+    rows: Sequence[ManifestEpisode],
+    placed: SceneLeaves,
+    points: F64,
+    findings: Findings,
     walks: Walks,
     rules: VerifierRules,
-    certificate: Certificate,
 ) -> None:
-    """Check the step budget against the configuration, the actions of the longest leaf and, if the budget is
-    proportional to the text, the number of words.
+    """Check the step budget of each row against the configuration, the actions of the longest leaf and, if the budget
+    is proportional to the text, the number of words. Rows whose start is not turned about the vertical are left out.
     """
-    certificate.holds("start_rotation", bool(ways), "a turn about the vertical", row.start_rotation)
-    if not ways:
-        return
-    steps = 0
-    for k, way in enumerate(ways):
-        walk = walks.length(way)
-        certificate.holds("budget", walk.arrived, "a walk that arrives", walk.outcome, f"leaf {k}")
-        steps = max(steps, walk.actions)
-    ceiling, per_word = rules.episodes.step_ceiling, rules.text.steps_per_word
-    certificate.holds("budget", 2 * steps <= ceiling, f"at most {ceiling}", 2 * steps, "twice the actions")
-    words = per_word * groups.words(row, certificate)
-    proportional = rules.episodes.max_steps == "proportional"
-    certificate.same("budget", row.max_steps, max(words, 2 * steps) if proportional else ceiling)
+    yaws = [yaw_of(row.start_rotation) for row in rows]
+    upright = np.array([yaw is not None for yaw in yaws])
+    findings.rows("start_rotation", upright, lambda k: ("a turn about the vertical", rows[k].start_rotation))
+    leaves = np.flatnonzero(upright[placed.row])
+    stop_counts = np.diff(placed.stop_ends, prepend=0)
+    walked = upright[placed.row]
+    ends = placed.goals[placed.ends_of_paths()]
+    counts = stop_counts[leaves] + 1
+    last = np.cumsum(counts)
+    stops = np.empty(int(counts.sum()), np.int64)
+    inner = np.ones(len(stops), dtype=bool)
+    inner[last - 1] = False
+    stops[inner], stops[last - 1] = placed.stops[np.repeat(walked, stop_counts)], ends[leaves]
+    own = placed.row[leaves]
+    turned = np.array([yaw or 0.0 for yaw in yaws])
+    lengths = walks.lengths(points, placed.start[own], turned[own], stops, last)
+    arrived, outcome = np.ones(len(placed.leaves), dtype=bool), dict(zip(leaves.tolist(), lengths, strict=True))
+    arrived[leaves] = [length.arrived for length in lengths]
+    findings.leaves("budget", arrived, lambda k: ("a walk that arrives", outcome[k].outcome), of=upright)
+    steps = np.zeros(len(rows), np.int64)
+    np.maximum.at(steps, own, [length.actions for length in lengths])
+    twice, ceiling, per_word = 2 * steps, rules.episodes.step_ceiling, rules.text.steps_per_word
+    findings.rows(
+        "budget",
+        twice <= ceiling,
+        lambda k: (f"at most {ceiling}", int(twice[k])),
+        "twice the actions",
+        of=upright,
+    )
+    members = _members(rows)
+    alone = np.array([row.group_id is None for row in rows])
+    findings.rows(
+        "group",
+        np.array([len(its) == GROUP_SIZE for its in members]),
+        lambda k: (GROUP_SIZE, len(members[k])),
+        lambda k: f"members of {rows[k].group_id}",
+        of=upright & ~alone,
+    )
+    expected = [ceiling] * len(rows)
+    if rules.episodes.max_steps == "proportional":
+        expected = [max(per_word * max(its), actions) for its, actions in zip(members, twice.tolist(), strict=True)]
+    right = np.array([row.max_steps == its for row, its in zip(rows, expected, strict=True)])
+    findings.rows("budget", right, lambda k: (rows[k].max_steps, expected[k]), of=upright)
 
 
-def _are_close(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:
-    if len(one) != len(other):
-        return False
-    return bool(np.abs(np.array(one) - np.array(other)).max() <= MILLIMETRE + ROUNDING)
+def _members(rows: Sequence[ManifestEpisode]) -> list[list[int]]:
+    """Return for each row the numbers of words of the texts of its counterfactual group, or of its own text if it has
+    no group. All step budgets of a group follow from the group's longest text.
+    """
+    words = [len(row.instruction_text.split()) for row in rows]
+    groups: dict[str, list[int]] = {}
+    for row, count in zip(rows, words, strict=True):
+        if row.group_id is not None:
+            groups.setdefault(row.group_id, []).append(count)
+    return [[count] if row.group_id is None else groups[row.group_id] for row, count in zip(rows, words, strict=True)]

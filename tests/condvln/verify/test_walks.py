@@ -31,19 +31,23 @@ def replayed(follower: Follower, start: tuple[float, ...], yaw: float, actions: 
 def test_a_walk_is_made_once_for_each_start_heading_and_stops(
     follower: Follower, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = []
+    asked: list[int] = []
     made = follower.lengths
-    monkeypatch.setattr(follower, "lengths", lambda *given: asked.extend(zip(*given, strict=True)) or made(*given))
+    monkeypatch.setattr(follower, "lengths", lambda starts, *given: asked.append(len(starts)) or made(starts, *given))
     walks = Walks(follower)
-    ways = [(START, 0.3, STOPS), (START, 0.4, STOPS), (START, 0.3, STOPS[:1]), ((3.4, 0.0, 0.5), 0.3, STOPS)]
-    for these in (ways[:2], [*ways, *ways], [], ways):
-        walks.ask(these)
-    for way in ways:
-        route = follower.follow(*way)
-        assert route.arrived
-        assert walks.length(way) == (len(route.actions), "arrived")
-        assert walks.length(way).arrived
-    assert asked == ways
+    points = np.array([START, *STOPS, (3.4, 0.0, 0.5)])
+    ways = [(0, 0.3, (1, 2)), (0, 0.4, (1, 2)), (0, 0.3, (1,)), (3, 0.3, (1, 2))]
+    for these in (ways[:2], [*ways, *ways[::-1]], [], [ways[2], ways[2], ways[0]]):
+        starts, yaws, stops = ([way[part] for way in these] for part in range(3))
+        ends = np.cumsum([len(one) for one in stops]).astype(np.int64)
+        flat = np.array([stop for one in stops for stop in one], np.int64)
+        found = walks.lengths(points, np.array(starts, np.int64), np.array(yaws), flat, ends)
+        for (start, yaw, own), length in zip(these, found, strict=True):
+            route = follower.follow(points[start], yaw, points[list(own)])
+            assert route.arrived
+            assert length == (len(route.actions), "arrived")
+            assert length.arrived
+    assert asked == [2, 4, 2]
 
 
 def test_places_of_actions_are_those_of_executing_them(follower: Follower) -> None:
