@@ -18,11 +18,21 @@ from condvln.episodes.table import PLACEMENTS, funnel_table, placements_table, r
 from condvln.episodes.visibility import sightings_from_table
 from condvln.instructions import PriorBits, instruction_table
 from condvln.navigation.graph_pathfinder import GraphPathfinder
-from condvln.relations import RoomRelations, TextFacts, text_facts
+from condvln.relations import TextFacts
 from condvln.scene import Scene
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, asked_of, bits_of, dump, keep_programs, scene_of, source_of, walkable_of
+from jobs.stages.inputs import (
+    Tables,
+    asked_of,
+    bits_of,
+    dump,
+    facts_of,
+    keep_programs,
+    scene_of,
+    source_of,
+    walkable_of,
+)
 from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
@@ -87,12 +97,8 @@ class EpisodeStage(Stage):
         return bits_of(scene, shared["priors"], self.sampling, self.instructions.directions)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        scene, facts = scene_of(unit, upstream), {}
-        for room in scene.rooms:
-            arrays = scene.arrays(room.room_id)
-            relations = RoomRelations.from_table(upstream["relations"], arrays, self.thresholds)
-            facts[room.room_id] = text_facts(relations, self.thresholds)
-        bits = self._bits(scene, shared)
+        scene = scene_of(unit, upstream)
+        facts, bits = facts_of(scene, upstream["relations"], self.thresholds), self._bits(scene, shared)
         with no_collection():  # programs are trees; collecting garbage among them takes a tenth of this stage
             if scene.navmesh is None:
                 return self._without_navmesh(unit, scene, facts, bits, upstream)

@@ -15,6 +15,7 @@ from condvln.episodes.view import SceneView
 from condvln.instructions import LabelPriors, PriorBits, programs_from_table
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.relations import RoomRelations, TextFacts, text_facts
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from condvln.sources.registry import open_source
@@ -27,6 +28,7 @@ from schemas.config import (
     LimitsConfig,
     SamplingConfig,
     Section,
+    Thresholds,
     WordingConfig,
 )
 from schemas.program import Program
@@ -37,6 +39,8 @@ __all__ = [
     "asked_of",
     "bits_of",
     "dump",
+    "facts_of",
+    "keep_facts",
     "keep_programs",
     "navmeshes_table",
     "pathfinder_of",
@@ -137,6 +141,7 @@ def _same(one: object, other: object) -> bool:
 
 _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
+_facts: Final[_Latest[Mapping[str, TextFacts]]] = _Latest()
 _programs: Final[_Latest[Mapping[str, Program]]] = _Latest()
 _priors: Final[_Latest[LabelPriors]] = _Latest()
 _bits: Final[_Latest[PriorBits]] = _Latest()
@@ -169,6 +174,22 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
         return Walkable(pathfinder_of(scene, tables), view, max_climb)
 
     return _walkables.get((scene, unit, tables["navmeshes"], max_climb), make)
+
+
+def keep_facts(scene: Scene, relations: pa.Table, thresholds: Thresholds, facts: Mapping[str, TextFacts]) -> None:
+    """Cache what text may state about a scene's rooms, by room id, for which `relations` was made."""
+    _facts.get((scene, relations, thresholds), lambda: facts)
+
+
+def facts_of(scene: Scene, relations: pa.Table, thresholds: Thresholds) -> Mapping[str, TextFacts]:
+    """Return what text may state about a scene's rooms, by room id, from the scene's table of relations."""
+
+    def read() -> dict[str, TextFacts]:
+        rooms = (scene.arrays(room.room_id) for room in scene.rooms)
+        found = (RoomRelations.from_table(relations, arrays, thresholds) for arrays in rooms)
+        return {one.room_id: text_facts(one, thresholds) for one in found}
+
+    return _facts.get((scene, relations, thresholds), read)
 
 
 def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions: str) -> PriorBits:

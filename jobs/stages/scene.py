@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
-from condvln.relations import relate_scene, relation_table
+from condvln.relations import relate_scene, relation_table, text_facts
 from condvln.scene.meshes import shared_library
 from condvln.scene.tables import scene_tables
 from factory.stage import Stage, StageOutput
 from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump, navmeshes_table, scene_of, source_of
+from jobs.stages.inputs import Tables, dump, keep_facts, navmeshes_table, scene_of, source_of
 from schemas.canonical import JSON
 from schemas.config import (
     AgentConfig,
@@ -80,4 +80,7 @@ class RelationStage(Stage):
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
         relations = relate_scene(scene, self.thresholds, shared_library(scene.root).world_mesh)
-        return StageOutput(tables={"relations": relation_table(scene, relations, self.thresholds)})
+        facts = {room_id: text_facts(found, self.thresholds) for room_id, found in relations.items()}
+        table = relation_table(scene, relations, self.thresholds, facts)
+        keep_facts(scene, table, self.thresholds, facts)
+        return StageOutput(tables={"relations": table})
