@@ -81,12 +81,14 @@ class PriorBits:
     varies : the plausible labels that are also absent from enough rooms of the type, so that their presence is
         informative
     counts : by statement, the number of rooms in which it is true and of those in which it is false; if the scene's
-        layout has enough rooms, only these are counted; statements never found are missing
+        layout has enough rooms, only these are counted; statements never found are missing, and so may be relations of
+        labels that the scene has in different types of rooms only
     staged : room types for which only rooms of the scene's layout are counted
     label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
         statements (``informative.label_weights``); of room types that are not `staged`
     even : by statement about a room type that is `staged`, the factor by which the weight of a true one is multiplied
         and that of a false one divided (``stagings.even_factors``), in programs of one condition and of several
+    rates : the hash of all rates, see `document`; empty where it is not known yet
     """
 
     plausible: Mapping[str, frozenset[str]]
@@ -95,6 +97,7 @@ class PriorBits:
     staged: frozenset[str] = frozenset()
     label_weights: Mapping[LabelForm, tuple[float, float]] = field(default_factory=dict)
     even: Mapping[Statement, ByConditions] = field(default_factory=dict)
+    rates: str = field(default="", compare=False)
 
     def evidence(self, room_type: str) -> int:
         """Return the minimum number of rooms of type `room_type` in which a statement must be counted before its counts
@@ -106,22 +109,46 @@ class PriorBits:
         """Return these priors as sorted JSON. Instead of the rate at which each statement is true, the JSON holds one
         hash of all these rates. Equal priors give equal bytes.
         """
-        counts, weights = sorted(self.counts.items()), sorted(self.label_weights.items())
-        seen = np.fromiter(chain.from_iterable(both for _, both in counts), np.float64).reshape(-1, 2)
-        steps = np.rint(RATE_STEPS * (seen[:, 0] / seen.sum(axis=1))).astype(np.int64).tolist()
-        factors = np.array([both for _, both in weights], dtype=np.float64).reshape(-1, 2)
-        rates: list[tuple[object, ...]] = [(*key, step) for (key, _), step in zip(counts, steps, strict=True)]
-        rates += [
-            (*key, *both)
-            for (key, _), both in zip(weights, np.rint(RATE_STEPS * factors).astype(np.int64).tolist(), strict=True)
-        ]
-        rates += [(*key, *both) for key, both in sorted(self.even.items())]
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
-            "rates": hashlib.sha256(orjson.dumps(rates)).hexdigest(),
+            "rates": self.rates or self._rates(),
             **({"staged": sorted(self.staged)} if self.staged else {}),
         }
+
+    def _rates(self) -> str:
+        counts, weights = sorted(self.counts.items()), sorted(self.label_weights.items())
+        seen = np.fromiter(chain.from_iterable(both for _, both in counts), np.float64).reshape(-1, 2)
+        steps = np.rint(RATE_STEPS * (seen[:, 0] / seen.sum(axis=1))).astype(np.int64).tolist()
+        rates: list[tuple[object, ...]] = [(*key, step) for (key, _), step in zip(counts, steps, strict=True)]
+        rates += _weight_rows(weights)
+        rates += _even_rows(self.even)
+        return hashlib.sha256(orjson.dumps(rates)).hexdigest()
+
+
+def _weight_rows(weights: Sequence[tuple[LabelForm, tuple[float, float]]]) -> list[tuple[object, ...]]:
+    """Return the rows of the weights of labels in the JSON of rates."""
+    factors = np.array([both for _, both in weights], dtype=np.float64).reshape(-1, 2)
+    steps = np.rint(RATE_STEPS * factors).astype(np.int64).tolist()
+    return [(*form, *both) for (form, _), both in zip(weights, steps, strict=True)]
+
+
+def _even_rows(even: Mapping[Statement, ByConditions]) -> list[tuple[object, ...]]:
+    """Return the rows of the factors of statements in the JSON of rates."""
+    return [(*key, *both) for key, both in sorted(even.items())]
+
+
+def _items(rows: Sequence[tuple[object, ...]]) -> str:
+    """Return rows as items of a JSON array."""
+    return orjson.dumps(rows)[1:-1].decode()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Forms:
+    """The weights of a label's forms in rooms of a type, and the same as items of a JSON array."""
+
+    factors: Mapping[LabelForm, tuple[float, float]]
+    items: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,51 +227,68 @@ class LabelPriors:
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
-        pooled = self._statements.about(types, seen, all_present=scene.single_room)
+        everywhere = self._statements
+        rows = everywhere.rows(types, seen, all_present=scene.single_room)
+        found = everywhere.presence(rows)
         layout = layout_of(scene.scene_id)
-        own = _of_layout(self, layout).about(types, seen, all_present=scene.single_room) if layout else {}
-        rooms = {t: pooled.pop((t, "", "", "", False), (0, 0))[0] for t in types}
-        presence = {(t, x): n for (t, x, predicate, *_), (n, _) in pooled.items() if not predicate}
+        stagings_of = _of_layout(self, layout) if layout else None
+        own_rows = stagings_of.rows(types, seen, all_present=scene.single_room) if stagings_of else rows[:0]
+        own = stagings_of.counts(own_rows) if stagings_of else {}
+        rooms = {t: found.pop((t, "", "", "", False), (0, 0))[0] for t in types}
+        presence = {(t, x): n for (t, x, *_), (n, _) in found.items()}
         plausible = {key for key, n in presence.items() if n >= plausible_share * rooms[key[0]]}
         varies = {key for key in plausible if rooms[key[0]] - presence[key] >= plausible_share * rooms[key[0]]}
         stagings = {t: own.pop((t, "", "", "", False), (0, 0))[0] for t in types}
         staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
-        counts = pooled
-        if staged:
-            counts = {key: seen for key, seen in pooled.items() if key[0] not in staged}
-            counts.update({key: seen for key, seen in own.items() if key[0] in staged})
+        read = rows if scene.single_room else everywhere.sayable(rows, _labels_of_types(scene))
+        counts = {key: both for key, both in everywhere.counts(read).items() if key[1] and key[0] not in staged}
+        counts.update({key: both for key, both in own.items() if key[0] in staged})
         if scene.single_room:
             # In a single-room scene, absence can be claimed of labels of other scenes.
             for t, x in presence:
                 there = counts.get((t, x, "", "", False), (0, 0))[0]
                 counts[t, x, "", "", False] = (there, (stagings if t in staged else rooms)[t] - there)
+        weights = self._label_weights(seen, set(types) - staged)
+        even = self._even(scene, counts, staged, predicates, directions) if staged else {}
+        rates = ""
+        if not scene.single_room:
+            parts = [
+                stagings_of.rates(own_rows, t, RATE_STEPS)
+                if stagings_of and t in staged
+                else everywhere.rates(rows, t, RATE_STEPS)
+                for t in types
+            ]
+            parts += [forms.items for forms in weights]
+            parts.append(_items(_even_rows(even)))
+            rates = hashlib.sha256(f"[{','.join(filter(None, parts))}]".encode()).hexdigest()
         return PriorBits(
             plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
             counts=counts,
             staged=staged,
-            label_weights=self._label_weights(seen, set(types) - staged),
-            even=self._even(scene, counts, staged, predicates, directions) if staged else {},
+            label_weights={form: both for forms in weights for form, both in forms.factors.items()},
+            even=even,
+            rates=rates,
         )
 
-    def _label_weights(self, labels: Sequence[str], types: Collection[str]) -> dict[LabelForm, tuple[float, float]]:
+    def _label_weights(self, labels: Sequence[str], types: Collection[str]) -> list[_Forms]:
         """Return the weights of a scene's labels; see `PriorBits`. They come from counts of statements with any anchor,
         even anchors that the scene lacks.
         """
         found = self._weights
-        return {form: both for t in sorted(types) for x in labels for form, both in found.get((t, x), {}).items()}
+        return [found[t, x] for t in sorted(types) for x in labels if (t, x) in found]
 
     @cached_property
     def _statements(self) -> StatementCounts:
         return StatementCounts(self._counts)
 
     @cached_property
-    def _weights(self) -> dict[tuple[str, str], dict[LabelForm, tuple[float, float]]]:
+    def _weights(self) -> dict[tuple[str, str], _Forms]:
         """The weights of all labels, by room type and label."""
         grouped: dict[tuple[str, str], dict[LabelForm, tuple[float, float]]] = {}
         for form, both in label_weights(self._counts.filter(pc.not_equal(self._counts["predicate"], ""))).items():
             grouped.setdefault(form[:2], {})[form] = both
-        return grouped
+        return {key: _Forms(forms, _items(_weight_rows(sorted(forms.items())))) for key, forms in grouped.items()}
 
     def _even(
         self,
@@ -270,6 +314,15 @@ class LabelPriors:
         )
         asked = pc.is_in(self._counts["predicate"], pa.array(predicates, pa.string()))
         return self._counts.filter(pc.and_(read, asked))
+
+
+def _labels_of_types(scene: Scene) -> dict[str, set[str]]:
+    """Return the labels of the objects in a scene's rooms, by type of room."""
+    found: dict[str, set[str]] = {}
+    for item in scene.objects:
+        if item.room_id in scene.room_of:
+            found.setdefault(scene.room_of[item.room_id].label, set()).add(item.label)
+    return found
 
 
 @lru_cache(maxsize=LAYOUTS_KEPT)

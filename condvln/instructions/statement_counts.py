@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final, TypeAlias
 
 import numpy as np
+import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
 """Columns that tell statements apart."""
 
 Counts: TypeAlias = dict[Statement, tuple[int, int]]
+Rows: TypeAlias = NDArray[np.intp]
 
 
 class StatementCounts:
@@ -46,25 +48,75 @@ class StatementCounts:
         """Rows of (anchors of a statement, the one word of theirs, the other), as numbers."""
 
     def about(self, types: Collection[str], labels: Collection[str], *, all_present: bool = False) -> Counts:
-        """Return the numbers of rooms in which each statement is true and false, of the statements about rooms of
-        `types` in which all words are in `labels`.
+        """Return the counts of the statements about rooms of `types` in which all words are in `labels`; see `rows`."""
+        return self.counts(self.rows(types, labels, all_present=all_present))
+
+    def rows(self, types: Collection[str], labels: Collection[str], *, all_present: bool = False) -> Rows:
+        """Return the numbers of the statements about rooms of `types` in which all words are in `labels`, ascending.
 
         all_present : also those that any label is present
         """
+        rows = np.flatnonzero(_among(self._types.texts, {*types})[self._types.numbers])
+        read = self._said_with(labels, rows)
+        if all_present:
+            read |= self._about_presence(rows)
+        return rows[read]
+
+    def sayable(self, rows: Rows, labels: Mapping[str, Collection[str]]) -> Rows:
+        """Return those of `rows` in which all words are among the `labels` of the type of room, and those about the
+        presence of a label.
+        """
+        found = self._about_presence(rows)
+        for room_type, words in labels.items():
+            of_type = np.flatnonzero(_among(self._types.texts, {room_type})[self._types.numbers[rows]])
+            found[of_type] |= self._said_with(words, rows[of_type])
+        return rows[found]
+
+    def _said_with(self, labels: Collection[str], rows: Rows) -> NDArray[np.bool_]:
+        """Return whether all words of each statement are in `labels`, (n,)."""
         words = {*labels, ""}
         known = _among(self._words, {*labels})
         anchor = _among(self._anchors.texts, words)
         anchor[self._pairs[known[self._pairs[:, 1]] & known[self._pairs[:, 2]], 0]] = True
-        read = _among(self._labels.texts, words)[self._labels.numbers] & anchor[self._anchors.numbers]
-        if all_present:
-            read |= _among(self._predicates.texts, {""})[self._predicates.numbers]
-        read &= _among(self._types.texts, {*types})[self._types.numbers]
-        rows = np.flatnonzero(read)
+        said: NDArray[np.bool_] = _among(self._labels.texts, words)[self._labels.numbers[rows]]
+        return said & anchor[self._anchors.numbers[rows]]
+
+    def _about_presence(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return whether each statement is the presence of a label, or counts the rooms of a type, (n,)."""
+        about: NDArray[np.bool_] = _among(self._predicates.texts, {""})[self._predicates.numbers[rows]]
+        return about
+
+    def counts(self, rows: Rows) -> Counts:
+        """Return the numbers of rooms in which some statements are true and in which they are false."""
         texts = (column.of(rows) for column in (self._types, self._labels, self._predicates, self._anchors))
         statements = zip(*texts, self._definite[rows].tolist(), strict=True)
         return dict(
             zip(statements, zip(self._true[rows].tolist(), self._false[rows].tolist(), strict=True), strict=True)
         )
+
+    def presence(self, rows: Rows) -> Counts:
+        """Return the counts of those of `rows` that are the presence of a label, or count the rooms of a type."""
+        return self.counts(rows[self._about_presence(rows)])
+
+    def rates(self, rows: Rows, room_type: str, steps: int) -> str:
+        """Return, as items of a JSON array, the statements of `rows` that are about labels in rooms of `room_type`,
+        each with the rate at which it is true in whole `steps`.
+        """
+        about = _among(self._types.texts, {room_type})[self._types.numbers[rows]]
+        about &= ~_among(self._labels.texts, {""})[self._labels.numbers[rows]]
+        rows = rows[about]
+        if not len(rows):
+            return ""
+        true, false = (count[rows].astype(np.float64) for count in (self._true, self._false))
+        rates = pa.array(np.rint(steps * (true / (true + false))).astype(np.int64)).cast(pa.string())
+        texts = (column.quoted(rows) for column in (self._types, self._labels, self._predicates, self._anchors))
+        definite = _BOOLEANS.take(pa.array(self._definite[rows].astype(np.int8)))
+        lines = pc.binary_join_element_wise(*texts, definite, rates, ",")
+        whole = pc.binary_join(pa.LargeListArray.from_arrays(pa.array([0, len(rows)], pa.int64()), lines), "],[")
+        return f"[{whole[0].as_py()}]"
+
+
+_BOOLEANS: Final = pa.array(["false", "true"])
 
 
 class _Coded:
@@ -76,10 +128,15 @@ class _Coded:
         )
         self.texts: list[str] = coded.dictionary.to_pylist()
         self.numbers: NDArray[np.int32] = coded.indices.to_numpy()
+        self._quoted = pa.array([orjson.dumps(text).decode() for text in self.texts], pa.string())
 
     def of(self, rows: NDArray[np.intp]) -> list[str]:
         """Return the texts of some rows."""
         return [*map(self.texts.__getitem__, self.numbers[rows].tolist())]
+
+    def quoted(self, rows: NDArray[np.intp]) -> pa.Array:
+        """Return the texts of some rows as JSON."""
+        return self._quoted.take(pa.array(self.numbers[rows]))
 
 
 def _among(texts: Sequence[str], wanted: Collection[str]) -> NDArray[np.bool_]:

@@ -15,11 +15,13 @@ from condvln.instructions import LabelPriors
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.priors import PRIORS
 from condvln.instructions.referents import Referents
+from condvln.instructions.statement_counts import StatementCounts
 from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
 from condvln.labels.confusion import also_called
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, Scene, SceneObject, round_mm
+from condvln.scene.layouts import layout_of
 from condvln.scene.tables import scene_tables
 from schemas.config import SamplingConfig, Thresholds
 from schemas.config.constants import EVIDENCE, STAGINGS
@@ -114,6 +116,29 @@ def test_the_document_changes_with_what_is_read_and_only_then(scenes, make_scene
     more = LabelPriors.merged([priors, counted(make_scene(78))])
     assert more.bits(scenes[0], 0.05).document() != document
     assert LabelPriors.from_table(priors.table()).bits(scenes[0], 0.05).document() == document
+
+
+def test_a_scene_keeps_the_counts_that_its_rooms_can_ask_for(scenes, make_scene) -> None:
+    stagings = [
+        replace(make_scene(300 + k, ("kitchen", "bedroom"), 7), scene_id=f"v3_sc0_staging_{k:02}")
+        for k in range(STAGINGS)
+    ]
+    table = LabelPriors.merged(map(counted, [*scenes, *stagings])).table()
+    layout = table.filter(pc.equal(table["layout"], layout_of(stagings[0].scene_id)))
+    for scene in (*scenes[:4], stagings[0]):
+        bits = LabelPriors.from_table(table).bits(scene, 0.05)
+        types, labels = {room.label for room in scene.rooms}, {o.label for o in scene.objects}
+        everything = StatementCounts(layout if bits.staged else table).about(types, labels)
+        read = {key: seen for key, seen in everything.items() if key[1]}
+        assert bits.rates
+        assert replace(bits, counts=read, rates="").document() == bits.document()
+        assert bits.counts.items() <= read.items()
+        for room in scene.rooms:
+            here = {"", *scene.arrays(room.room_id).labels}
+            asked = {key for key in read if key[0] == room.label and here.issuperset({key[1], *key[3].split(" + ")})}
+            assert asked <= bits.counts.keys()
+            assert {key for key in read if not key[2]} <= bits.counts.keys()
+    assert bits.even
 
 
 @pytest.mark.parametrize("rooms", [("apartment",), ("kitchen", "bedroom")], ids=["one room", "two rooms"])
