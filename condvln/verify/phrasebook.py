@@ -16,17 +16,23 @@ from typing import Any, Final
 from condvln.formats.packaged_yaml import packaged_yaml
 from condvln.verify.words import package_data, words
 
-__all__ = ["SO_FAR", "Matches", "Phrasebook", "phrasebook"]
+__all__ = ["SO_FAR", "STEPS", "Kinds", "Matches", "Phrasebook", "Step", "phrasebook"]
 
 END: Final = ""
 """Key of a node for the phrases that end there; it can't be a word, since no word is empty."""
 SO_FAR: Final = "\n"
 """Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
 
+STEPS: Final = "\t"
+"""Key of a node for the same phrases by their number of words: (words, kinds, values); see `Phrasebook.kinds`."""
+
 MARKS: Final = ",.;:?"
 """Punctuation; each mark is a token and its own letter."""
 UNKNOWN: Final = "\0"
 """Stands for each word that no phrase has."""
+
+PAIRED: Final = frozenset({"between"})
+"""Predicates with two anchors."""
 
 _FIRST_LETTER: Final = 0x100
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
@@ -45,6 +51,14 @@ Match = tuple[str, str, frozenset[str]]
 Node = dict[str, Any]
 Matches = dict[str, tuple[tuple[int, str, frozenset[str]], ...]]
 """Matches by kind of phrase: (number of words, value, noun classes)."""
+Kinds = tuple[tuple[str, str | None, frozenset[str]], ...]
+"""What phrases of the same words are: (kind, value, noun classes) of each, without values that are mere names."""
+Step = tuple[int, int, tuple[str, ...]]
+"""Number of words of some phrases, the number of their kinds, and the values that are mere names, in order."""
+
+_NAMING: Final = frozenset(("noun", "room", "predicate", "superlative", "superlative_behind", "direction"))
+"""Kinds of phrases whose values are only compared with each other. Except for a predicate with two anchors, a text with
+other values in their places says the same about these."""
 
 
 @dataclass(eq=False)
@@ -59,6 +73,7 @@ class Phrasebook:
     first : the characters of the words with which phrases of a kind begin
     longest : number of words of the longest phrase
     parsed : what the parsers of phrases found in earlier texts; see `WordReader`
+    kinds : the kinds of all phrases of the same words, each listed once
     """
 
     tree: Node
@@ -70,6 +85,7 @@ class Phrasebook:
     first: dict[str, set[str]] = field(default_factory=dict)
     longest: int = 0
     parsed: dict[Any, Any] = field(default_factory=dict)
+    kinds: dict[Kinds, int] = field(default_factory=dict)
 
     def tokens(self, text: str) -> list[str]:
         """Return the words and punctuation of a text, in lower case, with contractions expanded."""
@@ -145,7 +161,7 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for those in (document.get("nouns_in") or {}).values():
         for label, (noun, noun_class) in those.items():
             book.add(noun, "noun", label, (noun_class,))
-    _gather(book.tree, 0, {})
+    _gather(book, book.tree, 0, {}, ())
     return book
 
 
@@ -155,15 +171,23 @@ def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
     return list(dict.fromkeys(phrase for said in (document["phrases"], *voices) for phrase in said.get(slot, ())))
 
 
-def _gather(node: Node, words_so_far: int, before: Matches) -> None:
+def _gather(book: Phrasebook, node: Node, words_so_far: int, before: Matches, steps: tuple[Step, ...]) -> None:
     """Store in each node of the trie the phrases that end at this node or at a node above it."""
-    found = dict(before)
-    for kind, value, classes in node.get(END, ()):
+    found, ending = dict(before), node.get(END, ())
+    for kind, value, classes in ending:
         found[kind] = (*found.get(kind, ()), (words_so_far, value, classes))
+    if ending:
+        kinds = tuple([(kind, None if _is_name(kind, value) else value, classes) for kind, value, classes in ending])
+        names = tuple([value for kind, value, _ in ending if _is_name(kind, value)])
+        steps = (*steps, (words_so_far, book.kinds.setdefault(kinds, len(book.kinds)), names))
     for word, below in node.items():
         if word != END:
-            _gather(below, words_so_far + 1, found)
-    node[SO_FAR] = found
+            _gather(book, below, words_so_far + 1, found, steps)
+    node[SO_FAR], node[STEPS] = found, steps
+
+
+def _is_name(kind: str, value: str) -> bool:
+    return kind in _NAMING and value not in PAIRED
 
 
 def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, frozenset[str]]]:

@@ -5,15 +5,15 @@ All possible parses are followed; ``reading`` decides which of them form a whole
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-from condvln.verify.phrasebook import Phrasebook
+from condvln.verify.phrasebook import PAIRED, Phrasebook
 from condvln.verify.standpoint import BEARINGS
 from condvln.verify.word_reader import ENDS, WordReader, kept, parsed_once
 
-__all__ = ["Moves", "Named", "Phrase", "PhraseReader"]
+__all__ = ["Moves", "Named", "Phrase", "PhraseReader", "beside"]
 
 
 class Named(NamedTuple):
@@ -52,9 +52,6 @@ _Qualifier = tuple[str, tuple[str, ...]]
 _Place = tuple[int, Named | None]
 """A position in the text, and the room named last before it."""
 
-PAIRED: Final = frozenset({"between"})
-"""Predicates with two anchors."""
-
 FARTHEST: Final = 2
 """Largest number of marks between a room's name and "that bedroom"."""
 
@@ -64,7 +61,7 @@ _STOPS: Final = frozenset(".;:")
 """Punctuation that ends a clause which states stops."""
 
 
-def _beside(thing: Phrase, before: Phrase) -> Phrase:
+def beside(thing: Phrase, before: Phrase) -> Phrase:
     """Return the stop `thing` in the room of the previous stop, `before`. If `thing` has a room or an egocentric
     direction, it is returned unchanged.
     """
@@ -319,7 +316,7 @@ class PhraseReader(WordReader):
         for after, label, room in self._in_its_room(at):
             yield after, Phrase(label, None, room, True), room
 
-    def _relations(self, at: int) -> Iterator[tuple[int, _Qualifier]]:
+    def _relations(self, at: int) -> Iterable[tuple[int, _Qualifier]]:
         """Parse a relation or an egocentric direction behind a verb."""
         yield from self._related(at)
         yield from ((end, (bearing, ())) for end, bearing, _ in self.of(at, "bearing"))
@@ -354,6 +351,16 @@ class PhraseReader(WordReader):
         for present, slot in ((True, "also"), (True, "also_a"), (True, "there_also"), (False, "nor")):
             for end, what, named in self._some(slot, at, last):
                 yield end, present, what, named
+
+    def _neither(self, at: int) -> list[tuple[int, str, str]]:
+        """Parse "there's neither a lamp nor a bed". Return (end, label, other label) for each parse."""
+        return [
+            (stop, one, other)
+            for end, _, classes in self.of(at, "neither_a")
+            for after, one in self._agreeing(end, "noun", classes)
+            for middle, _, its in self.of(after, "nor_a")
+            for stop, other in self._agreeing(middle, "noun", its)
+        ]
 
     @parsed_once("see", "check", "look_at", "look", "is_there", "asks_is", "in")
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
@@ -397,6 +404,6 @@ class PhraseReader(WordReader):
             for slot in ("then", "second", "last"):
                 for after, _, _ in self.of(end, slot) if slot in here else ():
                     ahead += [
-                        (stop, (*moves, _beside(thing, moves[-1])), room)
+                        (stop, (*moves, beside(thing, moves[-1])), room)
                         for stop, thing, room in self._things(after, named)
                     ]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from condvln.instructions import parse, reading_of, render
 from condvln.verify import word_reader
-from condvln.verify.phrasebook import MARKS, SO_FAR, phrasebook
+from condvln.verify.phrasebook import MARKS, SO_FAR, STEPS, phrasebook
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from condvln.verify.words import words
@@ -384,7 +384,7 @@ def test_only_further_stops_begin_with_a_comma(code: str) -> None:
         for word, below in node.items():
             if word == "":
                 yield from ((kind, before) for kind, _, _ in below if set(before) & set(MARKS))
-            elif word != SO_FAR:
+            elif word not in (SO_FAR, STEPS):
                 yield from with_marks(below, (*before, word))
 
     found = list(with_marks(phrasebook(code).tree, ()))
