@@ -149,6 +149,18 @@ class Certificate:
             self.disagreements.append(Disagreement(fact, place, claimed, found))
         return agreed
 
+    def held(self, fact: str, times: int = 1) -> None:
+        """Count `times` checks of a fact that agreed."""
+        assert fact in FACTS, fact
+        if times:
+            self.checked[fact] += times
+
+    def all_held(self, facts: Mapping[str, int]) -> None:
+        """Count checks that agreed: `facts` has how many of each fact."""
+        checked = self.checked
+        for fact, times in facts.items():
+            checked[fact] += times
+
     def document(self) -> dict[str, Any]:
         """Return the certificate as JSON."""
         return {

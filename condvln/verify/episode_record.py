@@ -63,9 +63,13 @@ def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certifi
         "instruction_text": instruction.get("instruction_text") if isinstance(instruction, dict) else None,
     }
     said = said if isinstance(said, dict) else {}
-    wrong = [(name, value, own) for name, value in claimed.items() if value != (own := found.get(name, MISSING))]
-    wrong += [(f"info.{name}", value, own) for name, value in info.items() if value != (own := said.get(name, MISSING))]
-    certificate.checked["record"] += len(claimed) + len(info) - len(wrong)
+    wrong: list[tuple[str, Any, Any]] = []
+    if not (claimed.items() <= found.items() and info.items() <= said.items()):
+        wrong = [(name, value, own) for name, value in claimed.items() if value != (own := found.get(name, MISSING))]
+        wrong += [
+            (f"info.{name}", value, own) for name, value in info.items() if value != (own := said.get(name, MISSING))
+        ]
+    certificate.held("record", len(claimed) + len(info) - len(wrong))
     for name, manifest, own in wrong:
         certificate.holds("record", False, own, manifest, name)
     certificate.same("record", *_scene_names(str(record.get("scene_id", "")), row.scene_id), "scene_id")

@@ -4,8 +4,10 @@ programs.
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Sequence
+from functools import cache, lru_cache
 from itertools import product
+from typing import NamedTuple
 
 from condvln.verify.certificate import Certificate
 from condvln.verify.words import words
@@ -21,35 +23,51 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     rules against degenerate programs.
     """
     program = row.program
+    conditions, leaves = program.conditions, program.leaves
+    named = {(condition.room.room_id, condition.room.label) for condition in conditions}
+    visited: list[list[str]] = []
+    rooms: list[list[str]] = []
+    for leaf in leaves:
+        visited.append([move.object_id for move in leaf.moves])
+        rooms.append([move.room.room_id for move in leaf.moves])
+        named.update([(move.room.room_id, move.room.label) for move in leaf.moves])
+    goals = [stops[-1] for stops in visited]
+    tree = _tree(tuple([(branch.condition, branch.then, branch.otherwise) for branch in program.branches]))
+    everywhere = {room_id for room_id, _ in named}
+    composition = "C0" if len(everywhere) == 1 else _composition(program, tree, [its[-1] for its in rooms])
     claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
-    moves = len(program.leaves[row.gold_leaf].moves) if 0 <= row.gold_leaf < len(program.leaves) else None
-    found = (program.category, _depth(program, 0), _chain(program), _composition(program), moves)
-    certificate.same("axes", claimed, found)
+    moves = len(visited[row.gold_leaf]) if 0 <= row.gold_leaf < len(leaves) else None
+    certificate.same("axes", claimed, (program.category, tree.depth, tree.chain, composition, moves))
     _check_evidence(row, certificate)
-    goals = [leaf.moves[-1].object_id for leaf in program.leaves]
-    visited = [[move.object_id for move in leaf.moves] for leaf in program.leaves]
     certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
     for k, stops in enumerate(visited):
-        certificate.holds("distinct_goals", len(set(stops)) == len(stops), "different stops", stops, f"leaf {k}")
-    for k, leaf in enumerate(program.leaves):
-        if len(program.leaves) == 4:
-            count = len(leaf.moves)
+        if len(set(stops)) != len(stops):
+            certificate.holds("distinct_goals", False, "different stops", stops, f"leaf {k}")
+        else:
+            certificate.held("distinct_goals")
+    for k, its_rooms in enumerate(rooms):
+        count = len(its_rooms)
+        if len(leaves) == 4:
             certificate.holds("most_moves", count <= MOST_MOVES_OF_FOUR_LEAVES, "two moves", count, f"leaf {k}")
-        rooms = [move.room.room_id for move in leaf.moves]
-        back = [room for at, room in enumerate(rooms) if room in rooms[:at] and rooms[at - 1] != room]
-        certificate.holds("room_order", not back, "rooms left once", rooms, f"leaf {k}")
-    rooms_named = {(c.room.room_id, c.room.label) for c in program.conditions}
-    rooms_named |= {(move.room.room_id, move.room.label) for leaf in program.leaves for move in leaf.moves}
-    types = sorted(label for _, label in rooms_named)
+        if any(room in its_rooms[:at] and its_rooms[at - 1] != room for at, room in enumerate(its_rooms)):
+            certificate.holds("room_order", False, "rooms left once", its_rooms, f"leaf {k}")
+        else:
+            certificate.held("room_order")
+    types = sorted([label for _, label in named])
     certificate.holds("room_types", len(set(types)) == len(types), "one room of a type", types)
-    for k in range(len(program.conditions)):
+    for k in range(len(conditions)):
         matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
         certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")
-    meant = [words().meant_by(condition.label) for condition in program.conditions]
-    for k, condition in enumerate(program.conditions):
+    _check_independence(conditions, certificate)
+
+
+def _check_independence(conditions: Sequence[Condition], certificate: Certificate) -> None:
+    """Check that no condition is decided by its own words or by another condition, and that their labels differ."""
+    meant = [words().meant_by(condition.label) for condition in conditions]
+    for k, condition in enumerate(conditions):
         settled = _settled(condition, meant[k])
         certificate.holds("independent_conditions", not settled, "open", "settled", f"condition {k}")
-        for j, other in enumerate(program.conditions[:k]):
+        for j, other in enumerate(conditions[:k]):
             own_label = other.label not in meant[k]
             certificate.holds("labels_apart", own_label, "another label", other.label, f"condition {k}")
             apart = not (_follows(condition, meant[k], other) or _follows(other, meant[j], condition))
@@ -74,42 +92,41 @@ def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
     certificate.holds("axes", not early, "in the first view only what is seen from the start", early, "evidence")
 
 
-def _depth(program: Program, at: int) -> int:
-    """Return how deep tests are nested in THEN parts, counted from the test at index `at`. The depth is 1 if no test is
-    in the THEN part of another test, and 0 if `at` is negative (a leaf).
+class _Tree(NamedTuple):
+    """What follows from the branches of a program alone.
+
+    depth : how deep tests are nested in THEN parts; 1 if no test is in the THEN part of another test
+    chain : number of tests in the ELSE parts from the root on, with the root
+    sides : for each branch its condition, and the leaves of its THEN and of its ELSE part
     """
-    if at < 0:
-        return 0
-    branch = program.branches[at]
-    return max(1 + _depth(program, branch.then), _depth(program, branch.otherwise))
+
+    depth: int
+    chain: int
+    sides: tuple[tuple[int, tuple[int, ...], tuple[int, ...]], ...]
 
 
-def _chain(program: Program) -> int:
-    count, at = 0, 0
-    while at >= 0:
-        count, at = count + 1, program.branches[at].otherwise
-    return count
+@lru_cache(maxsize=64)
+def _tree(branches: tuple[tuple[int, int, int], ...]) -> _Tree:
+    """Return what follows from branches: (condition, index of the THEN part, index of the ELSE part) of each."""
+
+    def depth(at: int) -> int:
+        return 0 if at < 0 else max(1 + depth(branches[at][1]), depth(branches[at][2]))
+
+    def chain(at: int) -> int:
+        return 0 if at < 0 else 1 + chain(branches[at][2])
+
+    def leaves(at: int) -> tuple[int, ...]:
+        return (-1 - at,) if at < 0 else (*leaves(branches[at][1]), *leaves(branches[at][2]))
+
+    return _Tree(depth(0), chain(0), tuple([(k, leaves(then), leaves(other)) for k, then, other in branches]))
 
 
-def _goal_rooms(program: Program, at: int) -> set[str]:
-    if at < 0:
-        return {program.leaves[-1 - at].moves[-1].room.room_id}
-    branch = program.branches[at]
-    return _goal_rooms(program, branch.then) | _goal_rooms(program, branch.otherwise)
-
-
-def _composition(program: Program) -> str:
-    everywhere = {condition.room.room_id for condition in program.conditions}
-    everywhere |= {move.room.room_id for leaf in program.leaves for move in leaf.moves}
-    if len(everywhere) == 1:
-        return "C0"
-    for branch in program.branches:
-        parts = [
-            {program.conditions[branch.condition].room.room_id},
-            _goal_rooms(program, branch.then),
-            _goal_rooms(program, branch.otherwise),
-        ]
-        if len(set().union(*parts)) == sum(map(len, parts)):
+def _composition(program: Program, tree: _Tree, goal_rooms: Sequence[str]) -> str:
+    """Return the composition of a program with several rooms. `goal_rooms` has the room of each leaf's goal."""
+    for k, then, otherwise in tree.sides:
+        asked = program.conditions[k].room.room_id
+        one, other = {goal_rooms[leaf] for leaf in then}, {goal_rooms[leaf] for leaf in otherwise}
+        if asked not in one and asked not in other and one.isdisjoint(other):
             return "C2"
     return "C1"
 

@@ -5,6 +5,7 @@ leaf.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import COMPASS, heading_of, yaw_of
@@ -17,7 +18,7 @@ from condvln.verify.standpoint import BEARINGS, Standpoint
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.evaluation import ManifestEpisode
-from schemas.program import Condition, ObjectRef, Program, asked_in
+from schemas.program import Category, Condition, ObjectRef, Program, asked_in
 
 __all__ = ["check_meaning"]
 
@@ -51,15 +52,17 @@ def check_meaning(
 
 def _check_rooms(program: Program, referents: SceneReferents, certificate: Certificate) -> None:
     rooms = {(condition.room.room_id, condition.room.label) for condition in program.conditions}
-    rooms |= {(move.room.room_id, move.room.label) for leaf in program.leaves for move in leaf.moves}
-    for room_id, label in sorted(rooms):
+    for leaf in program.leaves:
+        rooms.update([(move.room.room_id, move.room.label) for move in leaf.moves])
+    for room_id, label in sorted(rooms) if len(rooms) > 1 else rooms:
         view = referents.rooms.get(room_id)
         certificate.same("room_named", label, None if view is None else view.label, room_id)
 
 
 def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRules, certificate: Certificate) -> None:
-    phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
-    said = {phrase.qualifier[0] for phrase in phrases if phrase.qualifier is not None}
+    said = {phrase.qualifier[0] for phrase in reading.conditions if phrase.qualifier is not None}
+    for moves in reading.moves:
+        said.update([stop.qualifier[0] for stop in moves if stop.qualifier is not None])
     directed = not said.isdisjoint(DIRECTIONS)
     used = {"compass"} if directed else set()
     used |= set() if said.isdisjoint(BEARINGS) else {"egocentric"}
@@ -92,19 +95,27 @@ def _check_branches(
     """Return the text's stops for each leaf of the program. If these stops differ from the program's, record this and
     return None.
     """
-    claimed = [tuple(_phrase(move, single_room) for move in leaf.moves) for leaf in program.leaves]
+    claimed = [tuple([_phrase(move, single_room) for move in leaf.moves]) for leaf in program.leaves]
     words: dict[int, Moves] = {}
-    for case, moves in enumerate(reading.moves):
-        truths = tuple(bool(case >> place & 1) for place in order)
-        leaf = leaf_of(program.category, truths)
+    for (truths, leaf), moves in zip(_cases(program.category, tuple(order)), reading.moves, strict=True):
         if words.get(leaf) is not moves:
-            said = tuple(_unplaced(stop, single_room) for stop in moves)
+            said = tuple([_unplaced(stop, single_room) for stop in moves]) if single_room else moves
             if said != claimed[leaf]:
                 certificate.holds("text_branches", False, claimed[leaf], said, f"truths {truths}")
                 return None
             words[leaf] = moves
     certificate.holds("text_branches", True, None, None)
     return [words[leaf] for leaf in range(len(claimed))]
+
+
+@lru_cache(maxsize=256)
+def _cases(category: Category, order: tuple[int, ...]) -> tuple[tuple[tuple[bool, ...], int], ...]:
+    """Return (truths of the program's conditions, its leaf) for each case of a text's conditions. `order` has the index
+    among these of each condition of the program.
+    """
+    cases = range(1 << len(order))
+    truths = [tuple(bool(case >> place & 1) for place in order) for case in cases]
+    return tuple([(those, leaf_of(category, those)) for those in truths])
 
 
 def _check_claims(
@@ -151,19 +162,23 @@ def _check_stops(
     certificate: Certificate,
 ) -> None:
     """Check that every stop of the text refers to exactly one object, and that the program names the same object."""
+    agreed = 0
     for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
         for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):
             found = referents.thing(stop, start)
-            name = f"leaf {k} stop {j}"
             if isinstance(found, Problem):
-                certificate.holds(found.fact, False, found.needed, found.found, f"{name} ({stop})")
+                name = f"leaf {k} stop {j} ({stop})"
+                certificate.holds(found.fact, False, found.needed, found.found, name)
+                continue
+            if move.is_bearing:
+                # The text does not name the stop's room. The program's name for the room must be valid nevertheless.
+                found = _with_room(found, move, referents)
+            claimed, own = (move.object_id, *_ids(move)), (found.object_id, *_found_ids(found))
+            if claimed == own:
+                agreed += 1
             else:
-                if move.is_bearing:
-                    # The text does not name the stop's room. The program's name for the room must be valid
-                    # nevertheless.
-                    found = _with_room(found, move, referents)
-                claimed = (move.object_id, *_ids(move))
-                certificate.same("referents", claimed, (found.object_id, *_found_ids(found)), name)
+                certificate.same("referents", claimed, own, f"leaf {k} stop {j}")
+    certificate.held("referents", agreed)
 
 
 def _with_room(found: Referent, move: ObjectRef, referents: SceneReferents) -> Referent:
