@@ -193,11 +193,15 @@ def _regression(*kinds: Kind) -> Learner:
     def learner(views: Sequence[GuesserView]) -> Guesses:
         guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
         coded = CodedViews.of(views)
-        features = coded_features(len(views), [found for kind in kinds for found in kind(coded)])
+        found = [(text.astype(np.int32), dense(code).astype(np.int32)) for kind in kinds for text, code in kind(coded)]
         for category in np.unique(coded.category).tolist():
-            mine = np.flatnonzero(coded.category == category)
+            inside = coded.category == category
+            mine = np.flatnonzero(inside)
             if len(mine) >= LEAST_EPISODES:
-                guesses[mine] = guessed_from([views[k] for k in mine.tolist()], features[mine])
+                # A matrix for all categories would be the largest thing in memory.
+                place = np.cumsum(inside) - 1
+                own = [(place[text[part]], code[part]) for text, code in found for part in [inside[text]]]
+                guesses[mine] = guessed_from([views[k] for k in mine.tolist()], coded_features(len(mine), own))
         return guesses
 
     return learner

@@ -14,7 +14,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import chain, pairwise
-from typing import Final, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +81,7 @@ class Labelled(Protocol):
 
 _Labelled = TypeVar("_Labelled", bound=Labelled)
 
-Occurrences = tuple[NDArray[np.int64], NDArray[np.int64]]
+Occurrences = tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]
 """Features of one kind: the index of a text and the number of a feature that it has, each in one array."""
 
 
@@ -157,14 +157,16 @@ def combined(*codes: NDArray[np.int64]) -> NDArray[np.int64]:
     return found
 
 
-def dense(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+def dense(codes: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
     """Return numbers from 0 without gaps, in the order of `codes`, which are not below 0."""
     most = int(codes.max(initial=0))
     if most > MOST_SPARSE * (len(codes) + MOST_SPARSE):
-        return np.unique(codes, return_inverse=True)[1].reshape(-1)
+        number: NDArray[np.int64] = np.unique(codes, return_inverse=True)[1].reshape(-1)
+        return number
     seen = np.zeros(most + 1, dtype=np.int64)
     seen[codes] = 1
-    return (np.cumsum(seen) - 1)[codes]
+    found: NDArray[np.int64] = (np.cumsum(seen) - 1)[codes]
+    return found
 
 
 def _columns(features: csr_matrix, mask: Bools) -> csr_matrix:
