@@ -241,8 +241,9 @@ class LabelPriors:
         stagings = {t: own.pop((t, "", "", "", False), (0, 0))[0] for t in types}
         staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
         read = rows if scene.single_room else everywhere.sayable(rows, _labels_of_types(scene))
-        counts = {key: both for key, both in everywhere.counts(read).items() if key[1] and key[0] not in staged}
-        counts.update({key: both for key, both in own.items() if key[0] in staged})
+        counts = everywhere.counts(everywhere.of_labels(read, {*types} - staged))
+        if staged:
+            counts.update({key: both for key, both in own.items() if key[0] in staged})
         if scene.single_room:
             # In a single-room scene, absence can be claimed of labels of other scenes.
             for t, x in presence:

@@ -94,6 +94,12 @@ class StatementCounts:
             zip(statements, zip(self._true[rows].tolist(), self._false[rows].tolist(), strict=True), strict=True)
         )
 
+    def of_labels(self, rows: Rows, types: Collection[str]) -> Rows:
+        """Return those of `rows` that are about labels in rooms of `types`: all but the numbers of rooms."""
+        about = _among(self._types.texts, types)[self._types.numbers[rows]]
+        about &= ~_among(self._labels.texts, {""})[self._labels.numbers[rows]]
+        return rows[about]
+
     def presence(self, rows: Rows) -> Counts:
         """Return the counts of those of `rows` that are the presence of a label, or count the rooms of a type."""
         return self.counts(rows[self._about_presence(rows)])
@@ -102,9 +108,7 @@ class StatementCounts:
         """Return, as items of a JSON array, the statements of `rows` that are about labels in rooms of `room_type`,
         each with the rate at which it is true in whole `steps`.
         """
-        about = _among(self._types.texts, {room_type})[self._types.numbers[rows]]
-        about &= ~_among(self._labels.texts, {""})[self._labels.numbers[rows]]
-        rows = rows[about]
+        rows = self.of_labels(rows, {room_type})
         if not len(rows):
             return ""
         true, false = (count[rows].astype(np.float64) for count in (self._true, self._false))
