@@ -165,14 +165,25 @@ def test_leaves_are_named_after_stop_only(made: tuple[Export, Path]) -> None:
 
 def test_gps_and_compass_are_in_the_frame_of_the_start(made: tuple[Export, Path]) -> None:
     """A step ahead is ahead whatever the first heading is; a turn to the left is positive."""
-    env = environment(made, cameras=None, text=False)
+    env, straight = environment(made, cameras=None, text=False), 0
     for task in made[0].tasks("train"):
         env.reset(options={"episode_id": task.episode_id})
-        seen, _, _, _, info = env.step(np.int64(1))
-        if not info["collided"]:
+        seen, *_ = env.step(np.int64(1))
+        x, _, z, w = task.start_rotation
+        assert x == z == 0
+        yaw = 2 * np.arctan2(task.start_rotation[1], w)
+        ahead, right = np.array([-np.sin(yaw), 0, -np.cos(yaw)]), np.array([np.cos(yaw), 0, -np.sin(yaw)])
+        asked = task.start + 0.25 * ahead
+        there = made[0].pathfinder(task).try_step(task.start, asked)
+        moved = there - task.start
+        # Along a wall a step may slide sideways without a collision: it is then longer than it would be ahead.
+        np.testing.assert_allclose(seen["gps"], [moved @ ahead, moved @ right], atol=2e-3)
+        if np.abs(there - asked)[[0, 2]].max() < 1e-3:
+            straight += 1
             np.testing.assert_allclose(seen["gps"], [0.25, 0], atol=2e-3)
         seen, *_ = env.step(np.int64(2))
         np.testing.assert_allclose(seen["compass"], [np.pi / 12], atol=1e-6)
+    assert straight > 3
 
 
 def test_noise_is_seeded_and_leaves_the_score_to_where_one_is(made: tuple[Export, Path]) -> None:
