@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-from condvln.verify.part_forms import LAST, STOPPING, WORD, FormTable, Outline, Said
+from condvln.verify.part_forms import LAST, STOPPING, WORD, Form, FormTable, Outline, Said, Thing
 from condvln.verify.phrasebook import Phrasebook
 from condvln.verify.phrases import Named, Phrase, beside
 from condvln.verify.word_reader import LONGEST_KEPT
@@ -38,23 +38,16 @@ _JOINTS: Final = frozenset(("then", "second", "last"))
 """Kinds of phrases before a further stop."""
 
 
-class Part(NamedTuple):
-    """What a part of a text says; see `Form`. `names` are the labels, relations and rooms of its claims."""
+class Part(Form):
+    """What a part of a text says: a form, with the labels, relations and rooms of its claims in place of numbers."""
 
-    outline: Outline
-    names: tuple[Any, ...]
-    stops: tuple[Said, ...]
-    apart: tuple[Named, ...]
-    heading: str | None
-    scope: Named | None
+    __slots__ = ()
 
 
-class _Stop(NamedTuple):
-    """A further stop, and the room named last after it."""
+class _Stop(Thing):
+    """A further stop, and the room named last after it, by their names."""
 
-    stop: Phrase
-    room: Named | None
-    apart: tuple[Named, ...]
+    __slots__ = ()
 
 
 class PartTable:

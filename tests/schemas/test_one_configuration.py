@@ -246,11 +246,8 @@ def fields_of(node: ast.ClassDef) -> dict[str, str]:
 WIRE = [
     {"schemas/scene.py: RoomRecord", "condvln/scene/scene.py: Room"},
     {"schemas/scene.py: NavmeshChoice", "condvln/scene/scene.py: NavmeshFile"},
-    {"condvln/verify/part_forms.py: Form", "condvln/verify/text_parts.py: Part"},
 ]
-"""Records of a file, and what they are in memory: arrays in place of lists, and no validation in loops. And a part of a
-text, which holds names where its form holds their numbers.
-"""
+"""Records of a file, and what they are in memory: arrays in place of lists, and no validation in loops."""
 
 
 def test_no_two_classes_have_the_same_fields(repository: Path) -> None:
