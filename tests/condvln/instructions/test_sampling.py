@@ -570,3 +570,43 @@ def test_two_cells_of_one_category_share_no_program(make_scene, facts_maker) -> 
 def test_cells_that_cannot_be_meant_are_refused(cells) -> None:
     with pytest.raises(ValidationError):
         InstructionsConfig(cells=cells)
+
+
+def test_a_drawing_has_the_golds_and_moves_that_it_is_aimed_at(sampled) -> None:
+    """Placing draws what a cell lacks; aimed at the next time, the drawing forgets what it was aimed at before."""
+    sampler = sampled[0][2]
+    for category in ("simple", "nested"):
+        (cell,) = sampler.wanted.cells_of(category)
+        leaves = SHAPES[category].leaves
+        drawing, found = sampler.drawing(cell, sampler.nothing_seen(category)), []
+        assert drawing is not None
+        one, two = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+        for golds, moves in (([leaves - 1], two), ([0, 0, 1], one), ([1] * 7 + [0], one)):
+            drawing.aim(golds, moves)
+            programs = list(sampler.programs(cell, drawing, len(golds)))
+            assert sorted(program.gold_leaf() for program in programs) == sorted(golds), "each of them once"
+            asked = {moves.index(1.0) + 1}
+            assert all({len(leaf.moves) for leaf in program.leaves} == asked for program in programs)
+            found += programs
+        drawing.aim([0] * 5, one)
+        found += sampler.programs(cell, drawing, 2)
+        drawing.aim([1] * 2, one)
+        last = list(sampler.programs(cell, drawing, 2))
+        assert [program.gold_leaf() for program in last] == [1, 1], "three golds were left"
+        found += last
+        assert len(set(found)) == len(found), "all distinct, whatever they are aimed at"
+
+
+def test_cells_of_a_category_that_draw_in_turns_share_no_program(sampled) -> None:
+    sampler = sampled[0][2]
+    (cell,) = sampler.wanted.cells_of("simple")
+    seen = sampler.nothing_seen("simple")
+    # The same stream twice: without what is seen, both would draw the same.
+    first, second = sampler.drawing(cell, seen), sampler.drawing(cell, seen)
+    assert first is not None
+    assert second is not None
+    found = list(sampler.programs(cell, first, 4))
+    seen.used[:] = 0
+    found += sampler.programs(cell, second, 4)
+    found += sampler.programs(cell, first, 4)
+    assert len(found) == len(set(found)) == 12
