@@ -164,10 +164,19 @@ def address(tools: type[EpisodeTools]) -> Iterator[str]:
         yield f"http://127.0.0.1:{port}"
 
 
-def test_openenv_s_client_walks_an_episode(address: str, made: tuple[Export, Path]) -> None:
+def test_openenv_s_client_walks_an_episode(
+    address: str, tools: type[EpisodeTools], made: tuple[Export, Path]
+) -> None:
+    """The client sees what the tools say in this process; how far they walk is up to the furniture."""
     from openenv import GenericEnvClient
 
     task = made[0].tasks("train")[2]
+    own = tools()
+    own.reset(task.episode_id)
+    own.turn(30)
+    seen = own.forward(2)
+    taken = task.max_steps - own.steps_left
+    assert taken in (3, 4)
     with GenericEnvClient(base_url=address).sync() as client:
         began = client.reset(episode_id=task.episode_id)
         assert began.observation["instruction"] == task.text
@@ -179,7 +188,9 @@ def test_openenv_s_client_walks_an_episode(address: str, made: tuple[Export, Pat
         assert "multiple of 15" in wrong.observation["text"]
         assert wrong.observation["steps_left"] == task.max_steps - 2
         walked = client.step({"tool": "forward", "steps": 2})
-        assert client.state()["step_count"] == 4
+        assert walked.observation["text"] == seen
+        assert walked.observation["steps_left"] == own.steps_left
+        assert client.state()["step_count"] == taken
         over = client.step({"tool": "stop"})
     assert over.done
     assert over.reward == 0.0
