@@ -11,7 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from factory.pipeline import TableSpec
-from factory.rows import canonical_table, logical_hash, parquet_bytes, parquet_table, schema_hash
+from factory.rows import (
+    _hash_of_arrays,
+    _plan,
+    canonical_table,
+    logical_hash,
+    parquet_bytes,
+    parquet_table,
+    schema_hash,
+)
 from schemas.errors import CorruptShardError, StageError
 from schemas.tables import SORT_KEYS, TABLES
 
@@ -80,6 +88,20 @@ def test_every_value_counts(rows: list[dict[str, Any]], data: st.DataObject) -> 
     # repr tells 0.0 from -0.0 and has one NaN, as the hash does.
     same = repr(before.to_pylist()) == repr(after.to_pylist())
     assert (logical_hash(before) == logical_hash(after)) == same
+
+
+@given(st.lists(row, min_size=1, max_size=8), st.data())
+def test_buffers_give_the_hash_that_arrays_give(rows: list[dict[str, Any]], data: st.DataObject) -> None:
+    whole = table(rows).drop_columns(["t", "fixed"])
+    pieces = pa.StructArray.from_arrays([whole.column("s").chunk(0), whole.column("l").chunk(0)], ["s", "l"])
+    # Nulls of a struct whose fields have values all the same.
+    hiding = data.draw(st.lists(st.booleans(), min_size=len(rows), max_size=len(rows)))
+    hidden = pa.StructArray.from_arrays([*pieces.flatten()], ["s", "l"], mask=pa.array(hiding))
+    whole = whole.append_column("pieces", pieces).append_column("hidden", hidden)
+    start = data.draw(st.integers(0, len(rows) - 1))
+    for one in (whole, whole.slice(start), whole.slice(0, start), whole.slice(start, 1)):
+        assert _plan(one.schema.serialize().to_pybytes()) is not None
+        assert logical_hash(one) == _hash_of_arrays(one)
 
 
 def test_bytes_under_nulls_and_offsets_are_not_hashed() -> None:
