@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import pyarrow as pa
@@ -12,7 +13,7 @@ import pyarrow as pa
 from condvln.instructions.cell_drawing import CellDrawing, Seen
 from condvln.instructions.counterfactuals import group_id
 from condvln.instructions.programs import ProgramParts, instruction_id
-from condvln.instructions.sampling import ProgramSampler
+from condvln.instructions.sampling import Outline, ProgramSampler
 from schemas.config import InstructionCell
 from schemas.config.constants import GROUP_SIZE
 from schemas.program import CATEGORIES, SHAPES, Category, Program
@@ -21,6 +22,7 @@ __all__ = [
     "UNPLACED",
     "Candidate",
     "CandidateSupply",
+    "Draft",
     "cell_name",
     "draw_candidates",
     "unplaced_programs",
@@ -46,6 +48,39 @@ class Candidate:
     program: Program
     cell: InstructionCell | None
     group_id: str | None = None
+
+    @property
+    def moves(self) -> tuple[int, ...]:
+        """Number of moves of each leaf."""
+        return tuple([len(leaf.moves) for leaf in self.program.leaves])
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Target label of each leaf."""
+        return tuple([leaf.moves[-1].label for leaf in self.program.leaves])
+
+    @property
+    def gold(self) -> int:
+        """Index of the gold leaf."""
+        return self.program.gold_leaf()
+
+    def made(self) -> Candidate:
+        """Return the candidate itself."""
+        return self
+
+
+class Draft:
+    """A candidate of a cell that is known by its outline, since many candidates are never tried. It has the attributes
+    of ``Candidate``, without the program and its id.
+    """
+
+    def __init__(self, outline: Outline, cell: InstructionCell, make: Callable[[Program], Candidate]) -> None:
+        self.cell, self.moves, self.labels, self.gold = cell, outline.moves, outline.labels, outline.gold
+        self._outline, self._make = outline, make
+
+    def made(self) -> Candidate:
+        """Return the candidate with its program."""
+        return self._make(self._outline.program())
 
 
 def cell_name(cell: InstructionCell | None) -> str:
@@ -99,7 +134,7 @@ class CandidateSupply:
 
     def more(
         self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
-    ) -> list[Candidate]:
+    ) -> list[Draft]:
         """Return the next `count` candidates of a cell, fewer if the cell is exhausted.
 
         golds : their gold leaves, which are dealt in a random order, and again if there are fewer than `count`
@@ -113,7 +148,8 @@ class CandidateSupply:
         if drawing is None:
             return []
         drawing.aim(golds, moves or self._sampler.sampling.drawn_move_shares(cell.category))
-        return [self.candidate(program, cell) for program in self._sampler.programs(cell, drawing, count)]
+        outlines = self._sampler.outlines(cell, drawing, count)
+        return [Draft(outline, cell, partial(self.candidate, cell=cell)) for outline in outlines]
 
 
 def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:

@@ -24,7 +24,7 @@ from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
-from condvln.seeding import generator
+from condvln.seeding import FewDraws, generator
 from schemas.config import EpisodeConfig, PlacesConfig, Thresholds
 from schemas.program import Program
 
@@ -275,14 +275,14 @@ class Placer:
         )
         if isinstance(possible, str):
             raise Rejected(possible)
-        rng = generator(self.seed, self.scene.scene_id, "place", instruction_id)
-        facing = self._facing(members or (program,), rng)
+        draws = FewDraws(self.seed, self.scene.scene_id, "place", instruction_id)
+        facing = self._facing(members or (program,), draws)
         if facing is not None:
             possible = possible[facing.possible[possible]]
             if not len(possible):
                 raise Rejected("no_heading")
-        order = rng.permutation(possible)[: self.rules.starts_per_program]
-        yaws = self._yaws(rng, order, facing, compass=compass)
+        order = possible[draws.uniforms(len(possible)).argsort(kind="stable")[: self.rules.starts_per_program]]
+        yaws = self._yaws(draws, order, facing, compass=compass)
         refused = np.zeros(len(REFUSALS), np.int64)
         failures: Counter[str] = Counter()
         at = 0
@@ -303,25 +303,21 @@ class Placer:
         raise Rejected(max(sorted(failures), key=lambda reason: failures[reason]))
 
     def _yaws(
-        self, rng: np.random.Generator, order: NDArray[np.int64], facing: Headings | None, *, compass: bool
+        self, draws: FewDraws, order: NDArray[np.int64], facing: Headings | None, *, compass: bool
     ) -> list[float]:
         """Return the yaw in radians for each start of `order`."""
         if facing is None:
-            drawn = rng.uniform(-math.pi, math.pi, len(order)).tolist()
+            drawn: list[float] = ((2.0 * draws.uniforms(len(order)) - 1.0) * math.pi).tolist()
             return [round(yaw / COMPASS_STEP) * COMPASS_STEP for yaw in drawn] if compass else drawn
-        yaws = []
-        for k in order:
-            rng.uniform(-math.pi, math.pi)  # so that all programs draw alike
-            yaws.append(math.radians(-float(rng.choice(facing.headings[facing.fit[k]]))))
-        return yaws
+        return [math.radians(-float(draws.choice(facing.headings[facing.fit[k]]))) for k in order]
 
-    def _facing(self, programs: Sequence[Program], rng: np.random.Generator) -> Headings | None:
+    def _facing(self, programs: Sequence[Program], draws: FewDraws) -> Headings | None:
         """Return the start poses that the egocentric statements of `programs` allow; None if there are no such
         statements.
         """
         if all(program.start_room is None for program in programs):
             return None
-        return self._facings.headings(programs, float(rng.uniform(0.0, 360.0 / HEADINGS)))
+        return self._facings.headings(programs, draws.uniform() * 360.0 / HEADINGS)
 
     @cached_property
     def _facings(self) -> Facings:

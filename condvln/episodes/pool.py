@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 from itertools import chain
 from typing import Final, Protocol, TypeAlias
 
-from condvln.episodes.candidates import Candidate
+from condvln.episodes.candidates import Candidate, Draft
 from condvln.episodes.identity import colliding, content_hash, numeric_id
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
@@ -112,7 +112,7 @@ class Supply(Protocol):
 
     def more(
         self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
-    ) -> Sequence[Candidate]:
+    ) -> Sequence[Candidate | Draft]:
         """Return about `count` further candidates of a cell; empty if it is exhausted.
 
         golds : wanted gold leaves
@@ -188,34 +188,41 @@ def _golds_of_each(cell: InstructionCell) -> int:
 class _Try:
     """Candidates that are placed together: a single one, or a counterfactual group (same leaves in different order).
 
-    programs : numbers of their programs; equal programs have equal numbers
-    all_labels : target labels of all leaves of all of them
     moves : how many leaves of the first of them have 1, 2, … moves, as sorted pairs
     refused : reason why they are not placed, so far; placement : that of the first of them, computed once
     """
 
-    def __init__(self, members: Sequence[Candidate], programs: set[int]) -> None:
-        self.members, self.programs = members, programs
-        self.cell = members[0].cell
-        self.all_labels = [leaf.moves[-1].label for member in members for leaf in member.program.leaves]
-        self.moves = _counted(tuple([len(leaf.moves) for leaf in members[0].program.leaves]))
+    def __init__(self, drafts: Sequence[Candidate | Draft], number: Callable[[Program], int]) -> None:
+        self._drafts, self._number = drafts, number
+        self.cell, self.count = drafts[0].cell, len(drafts)
+        self.moves = _counted(drafts[0].moves)
         self.refused: str | None = None
         self.placement: Placement | None = None
 
     @cached_property
+    def members(self) -> list[Candidate]:
+        """The candidates, whose programs are made when one of them is looked at."""
+        return [draft.made() for draft in self._drafts]
+
+    @cached_property
+    def programs(self) -> set[int]:
+        """Numbers of their programs; equal programs have equal numbers."""
+        return {self._number(member.program) for member in self.members}
+
+    @cached_property
     def gold(self) -> int:
         """Index of the gold leaf of the first of them."""
-        return self.members[0].program.gold_leaf()
+        return self._drafts[0].gold
 
     @cached_property
     def targets(self) -> Counter[str]:
         """Number of leaves by target label, of all of them."""
-        return Counter(self.all_labels)
+        return Counter([label for draft in self._drafts for label in draft.labels])
 
     @property
     def labels(self) -> list[Counter[str]]:
         """Number of leaves by target label, of each of them."""
-        return [Counter(leaf.goal.label for leaf in member.program.leaves) for member in self.members]
+        return [Counter(draft.labels) for draft in self._drafts]
 
 
 _Waiting: TypeAlias = dict[tuple[tuple[int, int], ...], deque[_Try]]
@@ -303,10 +310,12 @@ class _Filling:
         """Return the pool, with the observability of each episode."""
         pool = EpisodePool()
         for one in self._tries:
-            pool.candidates[one.cell] += len(one.members)
+            pool.candidates[one.cell] += one.count
             if one.refused is not None:
-                for member in one.members:
-                    pool.reject(member, one.refused)
+                key = (one.cell, one.refused)
+                pool.rejections[key] += one.count
+                if key not in pool.examples:
+                    pool.examples[key] = one.members[0]
                 continue
             assert one.placement is not None
             first = one.members[0].program
@@ -325,14 +334,14 @@ class _Filling:
         dropped.
         """
         cell = one.cell
-        if not self._seen.isdisjoint(one.programs):
-            return "program_placed"
         if self._is_full(cell):
             return "quota_full"
         if cell is not None and self._golds[cell][one.gold] >= _golds_of_each(cell):
             return "gold_leaf_full"
         if any(self._labels[label] + count > most_of_label for label, count in one.targets.items()):
             return "label_over_cap"
+        if not self._seen.isdisjoint(one.programs):
+            return "program_placed"
         return None
 
     def _is_full(self, cell: InstructionCell | None) -> bool:
@@ -363,6 +372,7 @@ class _Filling:
 
     def _draw(self, cell: InstructionCell | None) -> bool:
         """Draw a group, or a few more candidates than a cell still needs. Return whether there are any."""
+        found: list[Sequence[Candidate | Draft]]
         if cell is None:
             group = self._supply.group()
             found = [group] if group else []
@@ -371,8 +381,8 @@ class _Filling:
             golds = [k for k in range(SHAPES[cell.category].leaves) for _ in range(most - taken[k])]
             count = math.ceil(DRAWN_PER_PLACE * (cell.count - self._taken[cell]))
             found = [[one] for one in self._supply.more(cell, count, golds, self._lacking(cell))]
-        for members in found:
-            one = _Try(members, {self._number(member.program) for member in members})
+        for drafts in found:
+            one = _Try(drafts, self._number)
             self._tries.append(one)
             self._wait(one)
         return bool(found)
@@ -456,7 +466,7 @@ class _Filling:
         if one.cell is None:
             self._groups += by
             for n, count in one.moves:
-                self._group_moves[one.members[0].program.category][n] += by * count * len(one.members)
+                self._group_moves[one.members[0].program.category][n] += by * count * one.count
         else:
             self._taken[one.cell] += by
             self._golds[one.cell][one.gold] += by

@@ -19,7 +19,7 @@ from condvln.instructions.language import Voice, language
 from condvln.instructions.predicates import COMPASS
 from condvln.instructions.renderer import Renderer
 from condvln.instructions.sentences import sentences
-from condvln.seeding import FewDraws, generator, stable_hash
+from condvln.seeding import FewDraws, stable_hash
 from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
@@ -120,7 +120,7 @@ def render(program: Program, seed: int, instruction_id: str, wording: WordingCon
     said = _wording(wording)
     code = said.language
     words, voice = language(code), voice_of(seed, instruction_id, said)
-    draws = FewDraws(generator(seed, "text", instruction_id, code))
+    draws = FewDraws(seed, "text", instruction_id, code)
     return Renderer(words, voice, draws, short=said.length == "short").program(program)
 
 
@@ -144,7 +144,7 @@ def render_moves(
     """Return a sequence of moves as one sentence: the text of an oracle-linear twin."""
     code = _wording(wording).language
     words = language(code)
-    draws = FewDraws(generator(seed, "text", instruction_id, code))
+    draws = FewDraws(seed, "text", instruction_id, code)
     short = _wording(wording).length == "short"
     renderer = Renderer(words, voice_of(seed, instruction_id, wording), draws, short=short)
     return sentences(words, f"{renderer.moves(Leaf(moves=moves))}.")

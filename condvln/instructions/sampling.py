@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import accumulate
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from schemas.config.constants import PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef, asked_in
 
-__all__ = ["ProgramSampler"]
+__all__ = ["Outline", "ProgramSampler"]
 
 TRIES_PER_CANDIDATE: Final = 2
 """Number of shapes tried per wanted candidate, so that a scene reaches its number although some shapes are
@@ -49,6 +49,20 @@ impossible.
 
 VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
+
+
+class Outline(NamedTuple):
+    """What decides whether a program that was drawn is wanted, and a function that returns the program.
+
+    moves : number of moves of each leaf
+    labels : target label of each leaf
+    gold : index of the gold leaf
+    """
+
+    moves: tuple[int, ...]
+    labels: tuple[str, ...]
+    gold: int
+    program: Callable[[], Program]
 
 
 class ProgramSampler:
@@ -214,21 +228,28 @@ class ProgramSampler:
 
     def programs(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Program]:
         """Yield the next `count` programs of a cell's drawing, fewer if it is exhausted."""
+        return (outline.program() for outline in self.outlines(cell, drawing, count))
+
+    def outlines(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Outline]:
+        """Yield the outlines of the next `count` programs of a cell's drawing, fewer if it is exhausted."""
         category, reasons = cell.category, self._reasons[cell]
         # Only the number of words is decided here, so that candidates of other cells are drawn all at once.
         step = count if cell.words is None else 1
+        refs = self._numbered_names(self._sampler_of(category)).refs
         while count > 0:
             found = drawing.draw(min(step, count), reasons)
             for one in found:
-                program = self._program(category, one)
+                program = partial(self._program, category, one)
                 try:
-                    self._worded(cell, program)
+                    if cell.words is not None:
+                        self._worded(program(), cell.words)
                 except GivenUp as given_up:
                     reasons[given_up.reason] += 1
                     drawing.refuse()
                 else:
                     count -= 1
-                    yield program
+                    labels = tuple([refs[stops[-1]].label for stops in one.stops])
+                    yield Outline(tuple(map(len, one.stops)), labels, one.gold, program)
             if len(found) < step:
                 return
 
@@ -275,14 +296,13 @@ class ProgramSampler:
             attempts=self.sampling.attempts,
         )
 
-    def _worded(self, cell: InstructionCell, program: Program) -> None:
-        """Raise GivenUp if the text of `program` has not the number of words that the cell asks for."""
-        if cell.words is not None:
-            name = instruction_id(self.scene.family, self.scene.scene_id, program)
-            least, most = cell.words
-            said = word_count(program, self.seed, name, self.wanted.wording, preamble=self.preamble)
-            if not least <= said <= most:
-                raise GivenUp("words_missed")
+    def _worded(self, program: Program, words: tuple[int, int]) -> None:
+        """Raise GivenUp if the text of `program` has not the number of words that a cell asks for."""
+        name = instruction_id(self.scene.family, self.scene.scene_id, program)
+        least, most = words
+        said = word_count(program, self.seed, name, self.wanted.wording, preamble=self.preamble)
+        if not least <= said <= most:
+            raise GivenUp("words_missed")
 
     def groups(self) -> Iterator[Group]:
         """Yield distinct counterfactual groups, cycling through categories; as many candidates are drawn for each

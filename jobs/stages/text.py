@@ -34,7 +34,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 27
+    version: int = 28
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 

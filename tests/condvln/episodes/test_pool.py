@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from condvln.episodes import pool as pool_module
-from condvln.episodes.candidates import Candidate, unplaced_programs
+from condvln.episodes.candidates import Candidate, Draft, unplaced_programs
 from condvln.episodes.identity import content_hash
 from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
@@ -25,6 +25,7 @@ from condvln.episodes.rules import REASONS
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.instructions.degeneracy import outcomes
+from condvln.instructions.sampling import Outline
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
 from condvln.seeding import Draws, generator
@@ -590,3 +591,38 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     assert (EpisodeConfig().max_steps, paper.step_ceiling, TextConfig().steps_per_word) == (500, 500, 20)
     with pytest.raises(ValidationError, match="500"):
         EpisodeConfig(max_steps=501)
+
+
+class Drafts(Listed):
+    """The same candidates, of which only outlines are known until they are asked for."""
+
+    def __init__(self, candidates: Iterable[Candidate]) -> None:
+        super().__init__(candidates)
+        self.made: list[str] = []
+
+    def more(
+        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
+    ) -> Sequence[Draft]:
+        return [self._draft(one, cell) for one in super().more(cell, count, golds, moves)]
+
+    def _draft(self, one: Candidate, cell: InstructionCell) -> Draft:
+        def program() -> Program:
+            self.made.append(one.instruction_id)
+            return one.program
+
+        return Draft(Outline(one.moves, one.labels, one.gold, program), cell, lambda _: one)
+
+
+def test_programs_of_candidates_that_are_not_tried_are_not_made() -> None:
+    cell = simple(count=4)
+    candidates = drawn(cell)
+    supply = Drafts(candidates)
+    placer = Anywhere([candidates[0].instruction_id])
+    pool, whole = fill_pool(supply, placer, (cell,), 1.0, lambda _: False), filled_from(candidates, placer, (cell,))
+    assert [e.candidate for e in pool.episodes] == [e.candidate for e in whole.episodes]
+    assert (pool.rejections, pool.examples) == (whole.rejections, whole.examples)
+    assert len(pool.episodes) == 4
+    assert pool.candidates[cell] == len(candidates) > 10
+    examples = {one.instruction_id for one in pool.examples.values()}
+    assert len(supply.made) == len(set(supply.made))
+    assert set(supply.made) == {e.instruction_id for e in pool.episodes} | examples

@@ -164,9 +164,7 @@ def address(tools: type[EpisodeTools]) -> Iterator[str]:
         yield f"http://127.0.0.1:{port}"
 
 
-def test_openenv_s_client_walks_an_episode(
-    address: str, tools: type[EpisodeTools], made: tuple[Export, Path]
-) -> None:
+def test_openenv_s_client_walks_an_episode(address: str, tools: type[EpisodeTools], made: tuple[Export, Path]) -> None:
     """The client sees what the tools say in this process; how far they walk is up to the furniture."""
     from openenv import GenericEnvClient
 
