@@ -614,11 +614,13 @@ def test_cells_of_a_category_that_draw_in_turns_share_no_program(sampled) -> Non
 
 def test_an_outline_says_of_its_program_what_the_program_says(sampled) -> None:
     for sampler in (row[2] for row in sampled[:2]):
-        for category in ("simple", "conjunctive", "nested"):
+        for category in CATEGORIES:
             (cell,) = sampler.wanted.cells_of(category)
             drawing = sampler.drawing(cell, sampler.nothing_seen(category))
             assert drawing is not None
-            for outline in sampler.outlines(cell, drawing, 8):
+            outlines = list(sampler.outlines(cell, drawing, 8))
+            assert len(outlines) == 8
+            for outline in outlines:
                 program = outline.program()
                 assert outline.gold == program.gold_leaf()
                 assert outline.moves == tuple(len(leaf.moves) for leaf in program.leaves)

@@ -164,7 +164,7 @@ def test_compass_words_are_noticed(texts, code: str) -> None:
 
 def test_every_phrase_and_every_template_is_used(sampled, code: str) -> None:
     programs = [p for _, _, _, programs in sampled for p in programs]
-    texts = [render(program, k, "variety", code).lower() for k, program in enumerate(programs)]
+    texts = [render(p, k, f"variety {turn}", code).lower() for turn in range(3) for k, p in enumerate(programs)]
     # The voice "list" is rare, and so are texts with a room that is named by a thing in it.
     rare = WordingConfig.model_validate({"language": code, "voices": ["list"]})
     tagged = [p for p in programs if any(one.room.anchor_label for one in p.named)]
