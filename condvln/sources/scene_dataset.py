@@ -9,7 +9,8 @@ from __future__ import annotations
 import glob
 import os
 import posixpath
-from collections import Counter
+import time
+from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
@@ -90,7 +91,21 @@ class _Index:
     defaults: JsonNode | None = None
     entries: list[_Entry] = field(default_factory=list)
     by_handle: dict[str, list[_Entry]] = field(default_factory=dict)
-    loaded: dict[str, Template] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """The templates of a dataset by name, the problems found while listing them, and the stamp of each folder that was
+    looked into.
+    """
+
+    indices: dict[str, _Index]
+    listing: FileListing
+    stamps: dict[str, tuple[int, int, int]]
+
+    def is_current(self) -> bool:
+        """Return whether all folders have the stamps that they had when they were listed."""
+        return all(_stamp(folder) == stamp for folder, stamp in self.stamps.items())
 
 
 _known_json = lru_cache(maxsize=1024)(parse_json)
@@ -98,6 +113,20 @@ _known_json = lru_cache(maxsize=1024)(parse_json)
 
 _known_urdf = lru_cache(maxsize=64)(read_urdf)
 """Cached meshes of bodies shared by scenes, keyed by the file's bytes, so that a changed file is read again."""
+
+
+_LISTED_KEPT: Final = 4
+"""Number of datasets whose lists of templates are kept."""
+
+_SETTLED: Final = 2_000_000_000
+"""Nanoseconds. The list of a folder that has changed more recently is not kept, since another change might give it the
+same stamp.
+"""
+
+_known_lists: OrderedDict[tuple[str, str, bytes], _Listed] = OrderedDict()
+"""Kept lists of templates, by root folder, name of the configuration, and the configuration's bytes. To list the 200
+files of ReplicaCAD takes an eighth of what a scene does.
+"""
 
 
 class SceneDataset:
@@ -110,10 +139,13 @@ class SceneDataset:
 
     def __init__(self, root: DatasetRoot) -> None:
         self.root = root
-        self.listing = FileListing()
         self.config_path = self._config_path()
-        self.config = self.document(self.config_path).object()
-        self._indices = {kind: self._index(kind) for kind in _KINDS}
+        data = root.read(self.config_path, MAX_JSON_BYTES)
+        self.config = self._parsed(self.config_path, data).object()
+        listed = self._listed(data)
+        self.listing = FileListing([], dict(listed.listing.passed_over), dict(listed.listing.faults))
+        self._indices = listed.indices
+        self._loaded: dict[str, Attribute] = {}
         self._present: dict[str, bool] = {}
         self._bodies: dict[str, tuple[LinkMesh, ...]] = {}
 
@@ -124,8 +156,10 @@ class SceneDataset:
         ------
         InputError : it is missing or malformed
         """
-        data, where = self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path)
-        return (_known_json if len(data) <= KEPT_JSON_BYTES else parse_json)(data, where)
+        return self._parsed(path, self.root.read(path, MAX_JSON_BYTES))
+
+    def _parsed(self, path: str, data: bytes) -> JsonNode:
+        return (_known_json if len(data) <= KEPT_JSON_BYTES else parse_json)(data, str(self.root.folder / path))
 
     def has(self, path: str) -> bool:
         """Return whether a file exists; cached."""
@@ -203,7 +237,27 @@ class SceneDataset:
             )
         return f"{plain}{CONFIG_SUFFIX}"
 
-    def _index(self, kind: str) -> _Index:
+    def _listed(self, config: bytes) -> _Listed:
+        """Return the templates of all kinds. They are listed again if the configuration or a folder has changed."""
+        key = (self._full(""), self.config_path, config)
+        known = _known_lists.get(key)
+        if known is not None and known.is_current():
+            _known_lists.move_to_end(key)
+            return known
+        begun, folders, listing = time.time_ns(), {""}, FileListing()
+        indices = {kind: self._index(kind, listing, folders) for kind in _KINDS}
+        listed = _Listed(indices, listing, {path: _stamp(path) for path in map(self._full, sorted(folders))})
+        if all(changed < begun - _SETTLED for *_, changed in listed.stamps.values()):
+            _known_lists[key] = listed
+            while len(_known_lists) > _LISTED_KEPT:
+                _known_lists.popitem(last=False)
+        return listed
+
+    def _full(self, folder: str) -> str:
+        return str(self.root.folder / folder)
+
+    def _index(self, kind: str, listing: FileListing, folders: set[str]) -> _Index:
+        """Return the templates of one kind, and add the folders that were looked into to `folders`."""
         section = self.config.get(kind)
         index = _Index(kind)
         if section is None:
@@ -213,10 +267,10 @@ class SceneDataset:
         found: set[str] = set()
         for extension, patterns in paths.items() if paths is not None else ():
             for pattern in patterns.elements():
-                found |= self._search(kind, extension, pattern)
-        self.listing.take(self.root, found)
-        kept = [path for path in self.listing.paths if path in found]
-        self.listing.paths.clear()
+                found |= self._search(kind, extension, pattern, folders)
+        listing.take(self.root, found)
+        kept = [path for path in listing.paths if path in found]
+        listing.paths.clear()
         index.entries = [_Entry(posixpath.basename(_stem(p, *_KINDS[kind], *_ASSETS)), p) for p in kept]
         for made in section.array("configs"):
             handle = made.get("template_handle") or made.get("original_file")
@@ -228,9 +282,9 @@ class SceneDataset:
             index.by_handle.setdefault(entry.handle, []).append(entry)
         return index
 
-    def _search(self, kind: str, extension: str, pattern: JsonNode) -> set[str]:
-        """Return the files on a search path. A search path that leads out of the dataset is ignored, since
-        configurations name folders of robots beside the dataset.
+    def _search(self, kind: str, extension: str, pattern: JsonNode, folders: set[str]) -> set[str]:
+        """Return the files on a search path, and add the folders that were looked into to `folders`. A search path that
+        leads out of the dataset is ignored, since configurations name folders of robots beside the dataset.
         """
         try:
             relative = self.root.join("", pattern.text(), where=pattern.where, place=pattern.place)
@@ -238,9 +292,13 @@ class SceneDataset:
             return set()
         suffixes = _ASSETS if extension in _ASSETS else tuple(s for s in _KINDS[kind] if s.endswith(extension))
         found: set[str] = set()
+        parts = relative.split("/")
+        for count in range(1, len(parts)):
+            folders.update(glob.glob("/".join(parts[:count]), root_dir=self.root.folder))
         for path in glob.glob(relative, root_dir=self.root.folder):
             try:
                 names = os.listdir(self.root.folder / path)
+                folders.add(path)
             except OSError:
                 names = []
             inside = [f"{path}/{name}" for name in names if not name.startswith(".")]
@@ -260,14 +318,25 @@ class SceneDataset:
                 path = self.root.join("", original.text(), where=original.where, place=original.place)
         if path.endswith(".json"):
             ledger.file(path)
-            if path not in index.loaded:
+            if path not in self._loaded:
                 document = self.document(path).object()
-                index.loaded[path] = Template(entry.handle, path, (Attribute(document, posixpath.dirname(path)),))
-            layers.extend(index.loaded[path].layers)
+                self._loaded[path] = Attribute(document, posixpath.dirname(path))
+            layers.append(self._loaded[path])
         if index.defaults is not None:
             ledger.entry(self.config_path, f"{index.kind}.default_attributes", index.defaults.value)
             layers.append(Attribute(index.defaults, ""))
         return Template(entry.handle, path, tuple(layers))
+
+
+def _stamp(folder: str) -> tuple[int, int, int]:
+    """Return which folder is at a path, and when something was last added to it, renamed or taken away (nanoseconds);
+    zeros if it can't be looked at.
+    """
+    try:
+        status = os.stat(folder)
+    except OSError:
+        return 0, 0, 0
+    return status.st_dev, status.st_ino, max(status.st_mtime_ns, status.st_ctime_ns)
 
 
 def _stem(name: str, *suffixes: str) -> str:
