@@ -59,6 +59,7 @@ class RoomView:
         self._all = tuple(things)
         self.surroundings = Surroundings(things, room.floor_y, thresholds, said)
         self._meaning, self._family = meaning, family
+        self._named: dict[str, tuple[Thing, ...]] = {}
         self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
         self._vague: dict[str, frozenset[str]] = {}
@@ -150,8 +151,15 @@ class RoomView:
         own = self._meaning.meant_by(label)
         return thing.label in own or bool(own & self._open[thing.object_id])
 
-    def _called(self, label: str) -> Iterable[Thing]:
-        return (thing for thing in self._all if self._could_call(label, thing))
+    def _called(self, label: str) -> tuple[Thing, ...]:
+        """Return all objects that a word for `label` might mean, visible or not."""
+        found = self._named.get(label)
+        if found is None:
+            own = self._meaning.meant_by(label)
+            found = self._named[label] = tuple(
+                [x for x in self._all if x.label in own or not own.isdisjoint(self._open[x.item.object_id])]
+            )
+        return found
 
     def nameless(self, label: str) -> list[Thing]:
         """Return the unlabelled objects that, as far as is known, might have the label `label`; in a scan, those too

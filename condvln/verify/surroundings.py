@@ -7,8 +7,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from condvln.scene import SceneObject
 from schemas.config import Thresholds
@@ -154,7 +156,7 @@ class Surroundings:
             ahead = [thing]
             while ahead:
                 inner = ahead.pop()
-                new = [x for x in self._things if x.object_id not in found and self._has(x, inner)]
+                new = [x for x in self._beside(inner) if x.object_id not in found and self._has(x, inner)]
                 found.update(x.object_id for x in new)
                 ahead += new
             self._holders[thing.object_id] = frozenset(found)
@@ -181,6 +183,31 @@ class Surroundings:
                 if max(footprint_gap(middle, thing) for thing in (one, other)) <= 1000.0 * reach:
                     return True
         return False
+
+    def _beside(self, inner: Thing) -> Sequence[Thing]:
+        """Return the objects that may support or surround `inner`: all but those of which `_apart` says that they share
+        no ground with it, unless the source names them.
+        """
+        if self._share <= 0.0 or inner.pieces or inner.box is None:
+            return self._things
+        (x, _, z), (x1, _, z1) = inner.box
+        sides = self._footprints
+        shared = (sides[0] < x1) & (sides[1] > x) & (sides[2] < z1) & (sides[3] > z)
+        found = [self._things[k] for k in shared.nonzero()[0].tolist()]
+        named = inner.item.receptacles
+        return [*found, *(thing for thing in self._things if thing.object_id in named)] if named else found
+
+    @cached_property
+    def _footprints(self) -> NDArray[np.float64]:
+        """West, east, north and south side in millimetres (4, n) of each object; without bounds for one that is not a
+        single box.
+        """
+        everywhere = (-math.inf, math.inf, -math.inf, math.inf)
+        sides = [
+            everywhere if thing.pieces or thing.box is None else (*_span(thing.box, 0), *_span(thing.box, 2))
+            for thing in self._things
+        ]
+        return np.array(sides, dtype=np.float64).reshape(-1, 4).T
 
     def _has(self, outer: Thing, inner: Thing) -> bool:
         if outer.object_id == inner.object_id:
@@ -252,6 +279,10 @@ def _beyond(one: Thing, other: Thing, axes: tuple[int, ...]) -> float:
         gap = max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0)
         total += gap * gap
     return math.sqrt(total)
+
+
+def _span(box: tuple[Point, Point], axis: int) -> tuple[int, int]:
+    return box[0][axis], box[1][axis]
 
 
 def _apart(one: Thing, other: Thing) -> bool:
