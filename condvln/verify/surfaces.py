@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +13,6 @@ import fcl
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from trimesh.collision import mesh_to_BVH
 
 from condvln.scene import SceneObject
 from condvln.scene.meshes import shared_library
@@ -19,12 +20,18 @@ from condvln.scene.meshes import shared_library
 __all__ = ["Shapes", "SurfaceGauge"]
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 KEPT_TRIANGLES: Final = 1_500_000
 """Number of triangles whose FCL hierarchies are kept for the next scene: about 300 MB, four times ReplicaCAD."""
 
 ORTHOGONAL: Final = 1e-9
 """Largest dot product of two unit axes of a transform that still counts as a rotation."""
+
+_IDENTITY: Final = np.eye(3)
+_CUBE: Final = trimesh.creation.box(extents=np.ones(3))
+_CORNERS_OF_CUBE: Final[F64] = np.array(_CUBE.vertices)
+_FACES_OF_CUBE: Final[I64] = np.array(_CUBE.faces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +40,17 @@ class _Shape:
     and `solid` tells whether they enclose an interior.
     """
 
-    mesh: trimesh.Trimesh
+    vertices: F64
+    faces: I64
     model: Any
     corners: F64
     bounds: F64
     solid: bool
+
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """The triangles as a mesh. Few shapes are asked whether they contain a point."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,27 +94,24 @@ class Shapes:
         if parts or (item.obb is None and item.box is None):
             return parts
         if item.parts:
-            return [
-                _placed(_shape(trimesh.creation.box(extents=2 * p.half_extents), True), p.rotation, p.center)
-                for p in item.parts
-            ]
+            return [_placed(_cuboid(2 * p.half_extents), p.rotation, p.center) for p in item.parts]
         if item.obb is not None:
             extents, centre, rotation = 2 * item.obb.half_extents, item.obb.center, item.obb.rotation
         else:
             assert item.box is not None
-            extents, centre, rotation = item.box[1] - item.box[0], item.box.mean(axis=0), np.eye(3)
+            extents, centre, rotation = item.box[1] - item.box[0], item.box.mean(axis=0), _IDENTITY
         # FCL's own box-box distance is wrong if centres share a coordinate; twelve triangles are right.
-        return [_placed(_shape(trimesh.creation.box(extents=extents), True), rotation, centre)]
+        return [_placed(_cuboid(extents), rotation, centre)]
 
     def _placed(self, path: str, transform: F64) -> _Part:
         """Return a mesh file placed by a transform. Scale and shear are applied to the triangles; rotation and
         translation are kept apart.
         """
         linear = transform[:3, :3]
-        scale = np.linalg.norm(linear, axis=0)
-        rotation = linear / scale if (scale > 0).all() else np.eye(3)
-        if np.abs(rotation.T @ rotation - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(rotation) < 0:
-            rotation = np.eye(3)
+        scale = np.sqrt((linear * linear).sum(axis=0))
+        rotation = linear / scale if (scale > 0).all() else _IDENTITY
+        if np.abs(rotation.T @ rotation - _IDENTITY).max() > ORTHOGONAL or _is_mirrored(rotation):
+            rotation = _IDENTITY
         own = rotation.T @ linear
         # The scales of several instances of one model differ only in the last bits.
         own = np.round(own, 12) + 0.0
@@ -109,7 +119,7 @@ class Shapes:
         shape = self._kept.get(key)
         if shape is None:
             known = self._library.geometry(path)
-            shape = _shape(trimesh.Trimesh(known.vertices @ own.T, known.faces, process=False), known.watertight)
+            shape = _shape(known.vertices @ own.T, known.faces.astype(np.int64), known.watertight)
             self._kept[key] = shape
             while len(self._kept) > 1 and sum(len(kept.corners) for kept in self._kept.values()) > KEPT_TRIANGLES:
                 self._kept.popitem(last=False)
@@ -141,11 +151,27 @@ class SurfaceGauge:
         return self._parts[item.object_id]
 
 
-def _shape(mesh: trimesh.Trimesh, solid: bool) -> _Shape:
-    # Extracted once: trimesh checks its arrays for changes on every access.
-    corners = np.array(mesh.triangles[:, 0])
-    bounds = np.zeros((2, 3)) if mesh.bounds is None else np.array(mesh.bounds)
-    return _Shape(mesh, mesh_to_BVH(mesh) if len(corners) else None, corners, bounds, solid)
+def _cuboid(extents: F64) -> _Shape:
+    """Return a box around the origin."""
+    return _shape(_CORNERS_OF_CUBE * extents, _FACES_OF_CUBE, True)
+
+
+def _shape(vertices: F64, faces: I64, solid: bool) -> _Shape:
+    if not len(faces):
+        return _Shape(vertices, faces, None, np.zeros((0, 3)), np.zeros((2, 3)), solid)
+    triangles = vertices[faces]
+    model = fcl.BVHModel()
+    model.beginModel(len(faces), len(vertices))
+    model.addSubModel(vertices, faces)
+    model.endModel()
+    bounds = np.array([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
+    return _Shape(vertices, faces, model, triangles[:, 0].copy(), bounds, solid)
+
+
+def _is_mirrored(matrix: F64) -> bool:
+    """Return whether a matrix (3, 3) turns right-handed axes into left-handed ones."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0)
 
 
 def _placed(shape: _Shape, rotation: F64, translation: F64) -> _Part:
@@ -172,8 +198,8 @@ def _between(first: list[_Part], second: list[_Part]) -> float | None:
 
 def _least(one: _Part, other: _Part) -> float:
     """Return a lower bound in metres of the distance between two parts."""
-    gaps = np.maximum(one.bounds[0] - other.bounds[1], other.bounds[0] - one.bounds[1])
-    return float(np.linalg.norm(np.maximum(gaps, 0.0)))
+    (low, high), (its_low, its_high) = one.bounds.tolist(), other.bounds.tolist()
+    return math.hypot(*[max(low[k] - its_high[k], its_low[k] - high[k], 0.0) for k in range(3)])
 
 
 def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
