@@ -29,7 +29,13 @@ def unity_rotation(euler_degrees: ArrayLike) -> F64:
     Unity rotates about z, then x, then y, clockwise seen from the axis' tip (its frame is left-handed). In left-handed
     coordinates the matrices have their usual form; mirroring on both sides converts the rotation to Habitat's frame.
     """
-    x, y, z = np.radians(np.asarray(euler_degrees, dtype=np.float64))
+    return _unity_rotation(np.asarray(euler_degrees, dtype=np.float64).tobytes()).copy()
+
+
+@lru_cache(maxsize=4096)
+def _unity_rotation(euler_degrees: bytes) -> F64:
+    """Return what `unity_rotation` returns for angles (3,) float64; most objects of a house stand at one of few."""
+    x, y, z = np.radians(np.frombuffer(euler_degrees))
     rotation: F64 = UNITY_TO_HABITAT @ (rotation_y(y) @ rotation_x(x) @ rotation_z(z)) @ UNITY_TO_HABITAT
     return rotation
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.formats.json_document import JsonNode
-from condvln.scene.frames import UNITY_TO_HABITAT, unity_rotation
+from condvln.scene.frames import unity_rotation
 
 __all__ = ["House", "HouseObject", "HouseRoom", "HouseWall", "Opening", "read_house"]
 
@@ -163,8 +163,8 @@ def _identifier(node: JsonNode) -> str:
 
 def _point(node: JsonNode) -> F64:
     """Return the position of a JSON object {x, y, z} in Habitat's frame."""
-    point: F64 = UNITY_TO_HABITAT @ np.array([node[c].number() for c in "xyz"])
-    return point
+    # Zeros are added so that none is negative, as in a product with `UNITY_TO_HABITAT`.
+    return np.array([node["x"].number() + 0.0, node["y"].number() + 0.0, 0.0 - node["z"].number()])
 
 
 def _room(node: JsonNode) -> HouseRoom:

@@ -97,9 +97,21 @@ class RegionIndex:
         """Return the room that contains a point, else the nearest room within `NEAREST_REGION` of the point; None if
         there is none, or another room is about as near.
         """
+        return self.holding(point) or self._nearest(self.near(point))
+
+    def place(self, point: NDArray[np.float64]) -> tuple[Room | None, list[tuple[float, Room]]]:
+        """Return the room of a point as `room_of` does, and `near` the point if no room contains it."""
+        room = self.holding(point)
+        if room is not None:
+            return room, []
         near = self.near(point)
+        return self._nearest(near), near
+
+    @staticmethod
+    def _nearest(near: Sequence[tuple[float, Room]]) -> Room | None:
+        """Return the first room of `near` unless it is too far, or another room is about as near."""
         clear = len(near) == 1 or (len(near) > 1 and near[1][0] - near[0][0] >= CLEAR)
-        return self.holding(point) or (near[0][1] if clear and near[0][0] <= NEAREST_REGION else None)
+        return near[0][1] if clear and near[0][0] <= NEAREST_REGION else None
 
     def holding(self, point: NDArray[np.float64]) -> Room | None:
         """Return the room that contains a point (3,); of several, the smallest."""
@@ -138,9 +150,8 @@ def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[lis
     placed: list[SceneObject] = []
     said: list[SceneWarning] = []
     for item in objects:
-        room = whole or index.room_of(item.center)
-        if whole is None and (room is None or room is not index.holding(item.center)):
-            near = index.near(item.center)
+        room, near = (whole, []) if whole is not None else index.place(item.center)
+        if near or room is None:
             if room is not None:
                 message = (
                     f"its centre is in no room; it counts to the nearest one, {room.room_id}, {near[0][0]:.2f} m away"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
@@ -19,6 +20,8 @@ __all__ = ["Ground", "Obstacles", "Reach"]
 F64 = NDArray[np.float64]
 
 _GROUND: Final = np.array([0, 2])
+_FLAT: Final = ((1, 2), (0, 2), (0, 1))
+"""The two level axes of a box, by the axis that is upright."""
 TOUCHING: Final = 0.001
 """Tolerance in metres by which a path may enter a footprint: positions are rounded to as much."""
 
@@ -79,12 +82,15 @@ class Ground:
 
 def _below(box: OrientedBox) -> _Rectangle | None:
     """Return the rectangle below an upright box; None if the box is tilted."""
-    up = np.abs(box.rotation[1])
-    if up.max() < UPRIGHT_COSINE:
+    east, up, south = box.rotation.tolist()
+    steep = [abs(cosine) for cosine in up]
+    if max(steep) < UPRIGHT_COSINE:
         return None
-    flat = np.flatnonzero(np.arange(3) != up.argmax())
-    axes = box.rotation[np.ix_(_GROUND, flat)]
-    return _Rectangle(box.center[_GROUND], box.half_extents[flat], axes / np.linalg.norm(axes, axis=0))
+    i, j = _FLAT[steep.index(max(steep))]
+    one, other = (math.sqrt(east[k] * east[k] + south[k] * south[k]) for k in (i, j))
+    axes = np.array([[east[i] / one, east[j] / other], [south[i] / one, south[j] / other]])
+    half = box.half_extents.tolist()
+    return _Rectangle(box.center[_GROUND], np.array([half[i], half[j]]), axes)
 
 
 class Reach:
