@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any, Final
 
@@ -19,6 +20,9 @@ __all__ = ["CONFIDENCE", "REPLICATES", "Estimate", "PairedTest", "estimate", "pa
 CONFIDENCE: Final = 0.95
 REPLICATES: Final = 10_000
 """Number of bootstrap or permutation draws: the third digit of a p-value no longer changes."""
+
+_KEPT_SCENES: Final = 64
+"""Up to this many scenes, draws are kept: 5 MB at most."""
 
 _EXACT_SCENES: Final = 13
 """Up to this many scenes, all sign patterns are enumerated (8,192) instead of drawn."""
@@ -61,11 +65,23 @@ def estimate(
         return Estimate(mean, float("nan"), float("nan"), n, total, len(names))
     sums = np.bincount(cluster, weights=values[defined])
     counts = np.bincount(cluster).astype(np.float64)
-    draws = np.random.default_rng(seed).multinomial(len(names), np.full(len(names), 1 / len(names)), size=replicates)
+    draws = (_kept_draws if len(names) <= _KEPT_SCENES else _drawn)(seed, len(names), replicates)
     means = (draws @ sums) / (draws @ counts)
     tail = (1 - confidence) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return Estimate(mean, float(low), float(high), n, total, len(names))
+
+
+def _drawn(seed: int, scenes: int, replicates: int) -> Values:
+    """Return how often each scene is drawn in each replicate (replicates, scenes); it is read only."""
+    draws = np.random.default_rng(seed).multinomial(scenes, np.full(scenes, 1 / scenes), size=replicates)
+    found = draws.astype(np.float64)
+    found.flags.writeable = False
+    return found
+
+
+_kept_draws: Final = lru_cache(maxsize=8)(_drawn)
+"""All measures of a group, and all groups of as many scenes, have the same draws."""
 
 
 @dataclass(frozen=True)
