@@ -63,7 +63,7 @@ _STAGE_FIELDS: Final = (
 )
 _BATCH: Final = 1024
 """Number of receipts that are converted to columns at a time."""
-_PIECE: Final = BATCH_ROWS // 2
+_PIECE: Final = BATCH_ROWS // 4
 """Most rows that are merged at a time."""
 _CHUNK: Final = 1 << 20
 """Bytes of a file that are hashed at a time."""

@@ -18,8 +18,8 @@ from factory.temporary import close_files, temporary_space
 
 __all__ = ["BATCH_ROWS", "Scratch", "batches", "let_go"]
 
-BATCH_ROWS: Final = 4096
-"""Most rows of a batch: some 1 to 5 MB of a unit index."""
+BATCH_ROWS: Final = 8192
+"""Most rows of a batch: some 2 to 10 MB of a unit index."""
 
 _mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 """The files that are mapped now."""
