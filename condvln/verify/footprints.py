@@ -20,8 +20,6 @@ __all__ = ["Ground", "Obstacles", "Reach"]
 F64 = NDArray[np.float64]
 
 _GROUND: Final = np.array([0, 2])
-_FLAT: Final = ((1, 2), (0, 2), (0, 1))
-"""The two level axes of a box, by the axis that is upright."""
 TOUCHING: Final = 0.001
 """Tolerance in metres by which a path may enter a footprint: positions are rounded to as much."""
 
@@ -86,7 +84,8 @@ def _below(box: OrientedBox) -> _Rectangle | None:
     steep = [abs(cosine) for cosine in up]
     if max(steep) < UPRIGHT_COSINE:
         return None
-    i, j = _FLAT[steep.index(max(steep))]
+    upright = steep.index(max(steep))
+    i, j = [axis for axis in range(3) if axis != upright]
     one, other = (math.sqrt(east[k] * east[k] + south[k] * south[k]) for k in (i, j))
     axes = np.array([[east[i] / one, east[j] / other], [south[i] / one, south[j] / other]])
     half = box.half_extents.tolist()
