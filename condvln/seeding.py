@@ -142,7 +142,7 @@ class FewDraws(Draws):
         return self._few.pop()
 
     def uniforms(self, n: int) -> NDArray[np.float64]:
-        """Return `n` floats (n,) in [0, 1)."""
+        """Return `n` floats (n,) in [0, 1). The hash is computed from its beginning each time, so draw many at once."""
         begin, self._read = self._read, self._read + n
         words = np.frombuffer(self._hash.digest(8 * self._read), "<u8", offset=8 * begin)
         return np.asarray((words >> np.uint64(11)) * 2.0**-53)

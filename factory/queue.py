@@ -77,10 +77,9 @@ class Queue:
         # memory. The bits of floats that are not negative ascend as they do.
         keys = np.arange(len(self._costs), dtype=np.uint64)
         for begin in range(0, len(keys), SORTED_AT_ONCE):
-            bits = np.abs(self._costs[begin : begin + SORTED_AT_ONCE]).view(np.uint32)
-            keys[begin : begin + SORTED_AT_ONCE] |= (~bits if largest_first else bits).astype(np.uint64) << np.uint64(
-                32
-            )
+            part = slice(begin, begin + SORTED_AT_ONCE)
+            bits = np.abs(self._costs[part]).view(np.uint32)
+            keys[part] |= (~bits if largest_first else bits).astype(np.uint64) << np.uint64(32)
         keys.sort()
         return keys
 

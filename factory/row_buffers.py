@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-__all__ = ["Layout", "Odd", "layout_of", "row_bytes"]
+__all__ = ["Layout", "UnreadableBuffersError", "layout_of", "row_bytes"]
 
 NOTHING: Final = (0).to_bytes(8, "little")
 """What is fed for empty data, and for the nulls of an array without any."""
@@ -43,7 +43,7 @@ _LISTS: Final = {pa.lib.Type_LIST: "<i4", pa.lib.Type_LARGE_LIST: "<i8"}
 Flags = npt.NDArray[np.bool_]
 
 
-class Odd(Exception):
+class UnreadableBuffersError(Exception):
     """Rows that can't be read from their buffers, such as nulls with values behind them."""
 
 
@@ -82,7 +82,7 @@ def row_bytes(batch: pa.RecordBatch, layouts: tuple[Layout, ...], headers: tuple
 
     headers : what is fed before each column
 
-    Raises ``Odd`` where the buffers are not enough.
+    Raises ``UnreadableBuffersError`` where the buffers are not enough.
     """
     # Without its schema, which would take most of the time.
     plain = pa.ipc.read_record_batch(batch.serialize(), batch.schema)
@@ -143,7 +143,7 @@ class _Feed:
         ends = np.frombuffer(offsets, layout.dtype, count=n + 1)
         lengths = np.diff(ends).astype("<i8")
         if ends[0] or (valid is not None and lengths[~valid].any()):
-            raise Odd
+            raise UnreadableBuffersError
         self.data(lengths)
         return int(ends[-1])
 

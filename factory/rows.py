@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from factory.pipeline import TableSpec
-from factory.row_buffers import Layout, Odd, layout_of, row_bytes
+from factory.row_buffers import Layout, UnreadableBuffersError, layout_of, row_bytes
 from schemas.errors import CorruptShardError, StageError
 
 __all__ = ["ROW_GROUP_ROWS", "canonical_table", "logical_hash", "parquet_bytes", "parquet_table", "schema_hash"]
@@ -108,7 +108,7 @@ def logical_hash(table: pa.Table) -> tuple[str, int]:
     batches = table.to_batches()
     plan = _plan(table.schema.serialize().to_pybytes()) if len(batches) == 1 else None
     if plan is not None:
-        with contextlib.suppress(Odd):
+        with contextlib.suppress(UnreadableBuffersError):
             pieces, size = row_bytes(batches[0], *plan)
             return hashlib.sha256(b"".join(pieces)).hexdigest()[:32], size
     return _hash_of_arrays(table)

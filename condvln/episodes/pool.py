@@ -66,11 +66,15 @@ class EpisodePool:
     rejections: Counter[tuple[InstructionCell | None, str]] = field(default_factory=Counter)
     examples: dict[tuple[InstructionCell | None, str], Candidate] = field(default_factory=dict)
 
-    def reject(self, candidate: Candidate, reason: str) -> None:
-        """Count one rejection and keep the first rejected candidate as an example."""
-        key = (candidate.cell, reason)
-        self.rejections[key] += 1
-        self.examples.setdefault(key, candidate)
+    def reject(
+        self, cell: InstructionCell | None, reason: str, example: Callable[[], Candidate], count: int = 1
+    ) -> None:
+        """Count rejections of `count` candidates of a cell, and keep the first one of each cell and reason as an
+        example; `example` returns it.
+        """
+        self.rejections[cell, reason] += count
+        if (cell, reason) not in self.examples:
+            self.examples[cell, reason] = example()
 
     def reject_collisions(self, scene_id: str) -> None:
         """Drop episodes whose id collides with that of another episode of the scene, together with their counterfactual
@@ -82,7 +86,7 @@ class EpisodePool:
         kept = []
         for episode in self.episodes:
             if episode.instruction_id in lost or episode.candidate.group_id in groups:
-                self.reject(episode.candidate, "id_collision")
+                self.reject(episode.candidate.cell, "id_collision", episode.candidate.made)
             else:
                 kept.append(episode)
         self.episodes = kept
@@ -204,6 +208,10 @@ class _Try:
         """The candidates, whose programs are made when one of them is looked at."""
         return [draft.made() for draft in self._drafts]
 
+    def first(self) -> Candidate:
+        """Return the first candidate."""
+        return self.members[0]
+
     @cached_property
     def programs(self) -> set[int]:
         """Numbers of their programs; equal programs have equal numbers."""
@@ -312,10 +320,7 @@ class _Filling:
         for one in self._tries:
             pool.candidates[one.cell] += one.count
             if one.refused is not None:
-                key = (one.cell, one.refused)
-                pool.rejections[key] += one.count
-                if key not in pool.examples:
-                    pool.examples[key] = one.members[0]
+                pool.reject(one.cell, one.refused, one.first, one.count)
                 continue
             assert one.placement is not None
             first = one.members[0].program

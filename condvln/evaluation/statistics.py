@@ -22,7 +22,7 @@ REPLICATES: Final = 10_000
 """Number of bootstrap or permutation draws: the third digit of a p-value no longer changes."""
 
 _KEPT_SCENES: Final = 64
-"""Up to this many scenes, draws are kept: 5 MB at most."""
+"""Up to this many scenes, draws are kept: 5 MB at most for a number of scenes, of which eight are kept."""
 
 _EXACT_SCENES: Final = 13
 """Up to this many scenes, all sign patterns are enumerated (8,192) instead of drawn."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from condvln.scene.quaternions import rotation_x, rotation_y, rotation_z
 
-__all__ = ["UNITY_TO_HABITAT", "Z_UP_TO_HABITAT", "asset_frame", "unity_rotation"]
+__all__ = ["UNITY_TO_HABITAT", "Z_UP_TO_HABITAT", "asset_frame", "unity_point", "unity_rotation"]
 
 F64 = NDArray[np.float64]
 
@@ -21,6 +21,14 @@ reversed.
 
 Z_UP_TO_HABITAT: Final[F64] = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """Matterport3D and Gibson: (x, y, z) → (x, z, −y)."""
+
+
+def unity_point(x: float, y: float, z: float) -> F64:
+    """Convert a position of Unity to one (3,) in Habitat's frame: the bits of a product with `UNITY_TO_HABITAT`, in a
+    fraction of its time.
+    """
+    # Zeros are added so that none is negative, as in the product.
+    return np.array([x + 0.0, y + 0.0, 0.0 - z])
 
 
 def unity_rotation(euler_degrees: ArrayLike) -> F64:

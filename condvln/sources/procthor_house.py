@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.formats.json_document import JsonNode
-from condvln.scene.frames import unity_rotation
+from condvln.scene.frames import unity_point, unity_rotation
 
 __all__ = ["House", "HouseObject", "HouseRoom", "HouseWall", "Opening", "read_house"]
 
@@ -163,8 +163,7 @@ def _identifier(node: JsonNode) -> str:
 
 def _point(node: JsonNode) -> F64:
     """Return the position of a JSON object {x, y, z} in Habitat's frame."""
-    # Zeros are added so that none is negative, as in a product with `UNITY_TO_HABITAT`.
-    return np.array([node["x"].number() + 0.0, node["y"].number() + 0.0, 0.0 - node["z"].number()])
+    return unity_point(node["x"].number(), node["y"].number(), node["z"].number())
 
 
 def _room(node: JsonNode) -> HouseRoom:

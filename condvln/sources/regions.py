@@ -93,25 +93,16 @@ class RegionIndex:
     def _polygons(self) -> list[tuple[shapely.Polygon, Room]]:
         return [(shapely.Polygon(r.polygon), r) for r in self.rooms]
 
-    def room_of(self, point: NDArray[np.float64]) -> Room | None:
+    def room_of(self, point: NDArray[np.float64]) -> tuple[Room | None, list[tuple[float, Room]]]:
         """Return the room that contains a point, else the nearest room within `NEAREST_REGION` of the point; None if
-        there is none, or another room is about as near.
+        there is none, or another room is about as near. If no room contains it, also return which are `near`.
         """
-        return self.holding(point) or self._nearest(self.near(point))
-
-    def place(self, point: NDArray[np.float64]) -> tuple[Room | None, list[tuple[float, Room]]]:
-        """Return the room of a point as `room_of` does, and `near` the point if no room contains it."""
         room = self.holding(point)
         if room is not None:
             return room, []
         near = self.near(point)
-        return self._nearest(near), near
-
-    @staticmethod
-    def _nearest(near: Sequence[tuple[float, Room]]) -> Room | None:
-        """Return the first room of `near` unless it is too far, or another room is about as near."""
         clear = len(near) == 1 or (len(near) > 1 and near[1][0] - near[0][0] >= CLEAR)
-        return near[0][1] if clear and near[0][0] <= NEAREST_REGION else None
+        return near[0][1] if clear and near[0][0] <= NEAREST_REGION else None, near
 
     def holding(self, point: NDArray[np.float64]) -> Room | None:
         """Return the room that contains a point (3,); of several, the smallest."""
@@ -150,7 +141,7 @@ def in_rooms(objects: Iterable[SceneObject], rooms: Sequence[Room]) -> tuple[lis
     placed: list[SceneObject] = []
     said: list[SceneWarning] = []
     for item in objects:
-        room, near = (whole, []) if whole is not None else index.place(item.center)
+        room, near = (whole, []) if whole is not None else index.room_of(item.center)
         if near or room is None:
             if room is not None:
                 message = (

@@ -40,64 +40,38 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     certificate.same("axes", claimed, (program.category, tree.depth, tree.chain, composition, moves))
     _check_evidence(row, certificate)
     certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
-    once = ordered = few = 0
     for k, stops in enumerate(visited):
         if len(set(stops)) != len(stops):
             certificate.holds("distinct_goals", False, "different stops", stops, f"leaf {k}")
         else:
-            once += 1
+            certificate.held("distinct_goals")
     for k, its_rooms in enumerate(rooms):
         count = len(its_rooms)
         if len(leaves) == 4:
-            if count <= MOST_MOVES_OF_FOUR_LEAVES:
-                few += 1
-            else:
-                certificate.holds("most_moves", False, "two moves", count, f"leaf {k}")
-        if len(set(its_rooms)) > 1 and _returns(its_rooms):
+            certificate.holds("most_moves", count <= MOST_MOVES_OF_FOUR_LEAVES, "two moves", count, f"leaf {k}")
+        if any(room in its_rooms[:at] and its_rooms[at - 1] != room for at, room in enumerate(its_rooms)):
             certificate.holds("room_order", False, "rooms left once", its_rooms, f"leaf {k}")
         else:
-            ordered += 1
-    certificate.held("distinct_goals", once)
-    certificate.held("most_moves", few)
-    certificate.held("room_order", ordered)
+            certificate.held("room_order")
     types = sorted([label for _, label in named])
     certificate.holds("room_types", len(set(types)) == len(types), "one room of a type", types)
-    mattering = 0
     for k in range(len(conditions)):
-        if any(goals[one] != goals[other] for one, other in _rivals(program.category, k)):
-            mattering += 1
-        else:
-            certificate.holds("condition_matters", False, "another goal", "none", f"condition {k}")
-    certificate.held("condition_matters", mattering)
+        matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
+        certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")
     _check_independence(conditions, certificate)
-
-
-def _returns(rooms: Sequence[str]) -> bool:
-    """Return whether a path through these rooms enters a room that it has left."""
-    return any(room in rooms[:at] and rooms[at - 1] != room for at, room in enumerate(rooms))
 
 
 def _check_independence(conditions: Sequence[Condition], certificate: Certificate) -> None:
     """Check that no condition is decided by its own words or by another condition, and that their labels differ."""
-    meaning = words()
-    meant = [meaning.meant_by(condition.label) for condition in conditions]
-    independent = pairs = 0
+    meant = [words().meant_by(condition.label) for condition in conditions]
     for k, condition in enumerate(conditions):
-        if _settled(condition, meant[k]):
-            certificate.holds("independent_conditions", False, "open", "settled", f"condition {k}")
-        else:
-            independent += 1
+        settled = _settled(condition, meant[k])
+        certificate.holds("independent_conditions", not settled, "open", "settled", f"condition {k}")
         for j, other in enumerate(conditions[:k]):
-            if other.label in meant[k]:
-                certificate.holds("labels_apart", False, "another label", other.label, f"condition {k}")
-            else:
-                pairs += 1
-            if _follows(condition, meant[k], other) or _follows(other, meant[j], condition):
-                certificate.holds("independent_conditions", False, "independent", f"condition {j}", f"condition {k}")
-            else:
-                independent += 1
-    certificate.held("independent_conditions", independent)
-    certificate.held("labels_apart", pairs)
+            own_label = other.label not in meant[k]
+            certificate.holds("labels_apart", own_label, "another label", other.label, f"condition {k}")
+            apart = not (_follows(condition, meant[k], other) or _follows(other, meant[j], condition))
+            certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
 
 
 def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:

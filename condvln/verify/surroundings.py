@@ -194,7 +194,7 @@ class Surroundings:
         sides = self._footprints
         shared = (sides[0] < x1) & (sides[1] > x) & (sides[2] < z1) & (sides[3] > z)
         found = [self._things[k] for k in shared.nonzero()[0].tolist()]
-        named = inner.item.receptacles
+        named = set(inner.item.receptacles or ()) - {thing.object_id for thing in found}
         return [*found, *(thing for thing in self._things if thing.object_id in named)] if named else found
 
     @cached_property
@@ -204,7 +204,9 @@ class Surroundings:
         """
         everywhere = (-math.inf, math.inf, -math.inf, math.inf)
         sides = [
-            everywhere if thing.pieces or thing.box is None else (*_span(thing.box, 0), *_span(thing.box, 2))
+            everywhere
+            if thing.pieces or thing.box is None
+            else (thing.box[0][0], thing.box[1][0], thing.box[0][2], thing.box[1][2])
             for thing in self._things
         ]
         return np.array(sides, dtype=np.float64).reshape(-1, 4).T
@@ -279,10 +281,6 @@ def _beyond(one: Thing, other: Thing, axes: tuple[int, ...]) -> float:
         gap = max(one.box[0][k] - other.box[1][k], other.box[0][k] - one.box[1][k], 0)
         total += gap * gap
     return math.sqrt(total)
-
-
-def _span(box: tuple[Point, Point], axis: int) -> tuple[int, int]:
-    return box[0][axis], box[1][axis]
 
 
 def _apart(one: Thing, other: Thing) -> bool:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Final
 
 from condvln.verify.certificate import Certificate
 from condvln.verify.heading import COMPASS, heading_of, yaw_of
@@ -22,11 +21,6 @@ from schemas.evaluation import ManifestEpisode
 from schemas.program import Category, Condition, ObjectRef, Program, asked_in
 
 __all__ = ["check_meaning"]
-
-_OF_A_CONDITION: Final = (
-    *("condition_decided", "condition_definite", "condition_truth", "witnesses", "condition_referents"),
-)
-"""The facts that are checked once for each condition whose truth is certain."""
 
 
 def check_meaning(
@@ -134,45 +128,29 @@ def _check_claims(
 ) -> list[bool] | None:
     """Return the truths of the program's conditions in the scene; None if one can't be decided."""
     truths: list[bool] = []
-    agreed = related = 0
     for k, (condition, place) in enumerate(zip(program.conditions, order, strict=True)):
         name = f"condition {k}"
         answer = referents.claim(reading.conditions[place], start)
         if isinstance(answer, Problem):
             certificate.holds(answer.fact, False, answer.needed, answer.found, f"{name} ({reading.conditions[place]})")
             continue
-        qualifier, claimed, witnesses = condition.qualifier, sorted(condition.witnesses), sorted(answer.witnesses)
-        asked = qualifier is None or qualifier.predicate in asked_in(referents.scene.family)
-        ids, found_ids = _ids(condition), _found_ids(answer)
-        if (
-            asked
-            and condition.definite == answer.definite
-            and condition.truth == answer.truth
-            and claimed == witnesses
-            and ids == found_ids
-        ):
-            agreed += 1
-            related += qualifier is not None
-        else:
-            certificate.holds("condition_decided", True, None, None)
-            if qualifier is not None:
-                certificate.holds("predicate_asked", asked, "asked", "not asked", name)
-            certificate.same("condition_definite", condition.definite, answer.definite, name)
-            certificate.same("condition_truth", condition.truth, answer.truth, name)
-            certificate.same("witnesses", claimed, witnesses, name)
-            certificate.same("condition_referents", ids, found_ids, name)
+        certificate.holds("condition_decided", True, None, None)
+        if condition.qualifier is not None:
+            asked = asked_in(referents.scene.family)
+            certificate.holds("predicate_asked", condition.qualifier.predicate in asked, "asked", "not asked", name)
+        certificate.same("condition_definite", condition.definite, answer.definite, name)
+        certificate.same("condition_truth", condition.truth, answer.truth, name)
+        certificate.same("witnesses", sorted(condition.witnesses), sorted(answer.witnesses), name)
+        certificate.same("condition_referents", _ids(condition), _found_ids(answer), name)
         certificate.conditions.append(
             {
                 "condition": str(reading.conditions[place]),
                 "truth": answer.truth,
-                "witnesses": witnesses,
+                "witnesses": sorted(answer.witnesses),
                 "numbers": dict(answer.numbers),
             }
         )
         truths.append(answer.truth)
-    for fact in _OF_A_CONDITION:
-        certificate.held(fact, agreed)
-    certificate.held("predicate_asked", related)
     return truths if len(truths) == len(program.conditions) else None
 
 

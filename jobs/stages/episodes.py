@@ -144,7 +144,7 @@ class EpisodeStage(Stage):
         pool = EpisodePool()
         for candidate in drawn.candidates:
             pool.candidates[candidate.cell] += 1
-            pool.reject(candidate, "no_navmesh")
+            pool.reject(candidate.cell, "no_navmesh", candidate.made)
         wanted = set(unplaced_programs(drawn.candidates))
         programs = {one.instruction_id: one.program for one in drawn.candidates if one.instruction_id in wanted}
         return self._output(scene, programs, pool, drawn.rejections)

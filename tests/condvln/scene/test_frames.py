@@ -8,10 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from condvln.scene.frames import UNITY_TO_HABITAT, Z_UP_TO_HABITAT, asset_frame, unity_rotation
+from condvln.scene.frames import UNITY_TO_HABITAT, Z_UP_TO_HABITAT, asset_frame, unity_point, unity_rotation
 from condvln.scene.quaternions import to_matrix
 
 degrees = st.floats(-360, 360)
+metres = st.floats(-1e6, 1e6) | st.sampled_from([0.0, -0.0])
+
+
+@given(metres, metres, metres)
+def test_a_point_of_unity_is_mirrored_to_the_last_bit(x: float, y: float, z: float) -> None:
+    assert unity_point(x, y, z).tobytes() == (UNITY_TO_HABITAT @ np.array([x, y, z])).tobytes()
 
 
 @given(degrees)

@@ -28,7 +28,7 @@ def rooms(*regions: dict[str, Any]) -> tuple[Room, ...]:
 
 
 def room_at(index: RegionIndex, x: float, y: float, z: float) -> str | None:
-    room = index.room_of(np.array([x, y, z]))
+    room, _ = index.room_of(np.array([x, y, z]))
     return None if room is None else room.room_id
 
 
