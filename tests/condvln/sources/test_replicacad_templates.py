@@ -149,3 +149,14 @@ def test_a_folder_that_changed_just_now_is_listed_again(made: Any, monkeypatch: 
     monkeypatch.setattr(scene_dataset.glob, "glob", lambda name, **more: listed.append(name) or real(name, **more))
     read(made)
     assert listed
+
+
+def test_a_folder_that_a_pattern_finds_later_is_listed(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_dataset, "_SETTLED", -(10**12))  # the folders were made just now
+    made.scene["articulated_object_instances"][0]["template_name"] = "cupboard"
+    made.write_scene()
+    assert "missing_template" in codes(read(made))
+    folder = made.root / "urdf/fridge"
+    for path in folder.iterdir():
+        made.write(f"urdf/cupboard/{path.name.replace('fridge', 'cupboard')}", path.read_bytes())
+    assert "missing_template" not in codes(read(made))

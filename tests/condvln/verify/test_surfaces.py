@@ -9,11 +9,12 @@ import pytest
 
 from condvln.relations import surface_distances
 from condvln.relations.metrics import pair_metrics
-from condvln.scene import OrientedBox, SceneObject, round_mm
+from condvln.scene import MeshPart, OrientedBox, SceneObject, round_mm
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.quaternions import rotation_y
 from condvln.sources.registry import open_source
 from condvln.verify.surfaces import Shapes, SurfaceGauge
+from tests.condvln.glb_boxes import box_glb
 
 
 def box(name: str, centre: list[float], half: list[float], turn: float = 0.0) -> SceneObject:
@@ -50,6 +51,18 @@ def test_touching_overlapping_and_holding_are_no_distance() -> None:
 def test_without_extent_nothing_is_known() -> None:
     point = SceneObject("p", "r", "p", "p", np.zeros(3))
     assert gauge().millimetres(point, box("a", [0, 0, 0], [1, 1, 1])) is None
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_mesh_is_measured_where_its_transform_places_it(tmp_path: Path, mirrored: bool) -> None:
+    """A box of 2 x 1 x 1 before its own origin along x, turned by 60 degrees, and the mirror image of it."""
+    (tmp_path / "box.glb").write_bytes(box_glb([2.0, 1.0, 1.0], [1.0, 0.0, 0.0]))
+    transform = np.eye(4)
+    transform[:3, :3] = rotation_y(np.pi / 3) @ np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    corners = np.array([[x, y, z, 1.0] for x in (0.0, 2.0) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) @ transform.T
+    mesh = SceneObject("m", "r", "m", "m", corners[:, :3].mean(axis=0), mesh=(MeshPart("box.glb", transform),))
+    least = corners[:, 0].min()
+    assert gauge(tmp_path).millimetres(mesh, box("b", [-6.0, 0.0, 0.0], [1.0, 1.0, 9.0])) == round(1000 * (least + 5.0))
 
 
 @pytest.mark.parametrize("scene_id", ["apt_1", "v3_sc1_staging_07"])
