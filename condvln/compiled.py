@@ -34,6 +34,7 @@ __all__ = [
     "compiled_apart",
     "constant",
     "inlined",
+    "load_cached",
     "register_warm_up",
     "warm_up",
 ]
@@ -119,6 +120,28 @@ def warm_up(report: Notify | None = None, only: Collection[str] | None = None) -
                 run()
 
 
+def load_cached(groups: Collection[str]) -> bool:
+    """Load the kernels of `groups` from the cache, and compile none. Returns False at the first one that is not there.
+
+    The modules that register the groups must have been imported.
+    """
+    try:
+        with compilation_reported_to(_refuse):
+            for name in sorted(groups):
+                _warm_ups[name]()
+    except _NotCachedError:
+        return False
+    return True
+
+
+class _NotCachedError(Exception):
+    """A kernel would have to be compiled."""
+
+
+def _refuse(line: str) -> None:
+    raise _NotCachedError(line)
+
+
 @contextmanager
 def compilation_reported_to(report: Notify) -> Iterator[None]:
     """Return a context manager. Within its block, ``report`` is called with one line for each kernel that is compiled,
@@ -145,10 +168,13 @@ class _Announcer(numba_event.Listener):  # type: ignore[misc]
 
     def on_start(self, event: Any) -> None:
         depth = getattr(self._depth, "value", 0)
-        self._depth.value = depth + 1
         function = event.data["dispatcher"].py_func
-        if depth or not function.__module__.startswith("condvln."):
-            return  # called by the kernel that was announced, or another package's kernel
+        # Another package's kernel is not told, nor one that is called by the kernel that was told.
+        if not depth and function.__module__.startswith("condvln."):
+            self._tell(function)  # may raise: then there is no end of this event
+        self._depth.value = depth + 1
+
+    def _tell(self, function: FunctionType) -> None:
         if self.report is not None:
             self.report(f"compiling {function.__module__}.{function.__name__}")
         elif not self._told:

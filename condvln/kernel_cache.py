@@ -36,7 +36,7 @@ from numba.core.serialize import dumps
 from numba.core.types.containers import BaseNamedTuple, BaseTuple
 from numba.extending import _Intrinsic
 
-__all__ = ["KernelCache", "cache_folders", "kernel_digest"]
+__all__ = ["KernelCache", "cache_folders", "can_be_kept", "kernel_digest"]
 
 VERSIONS_KEPT: Final = 24
 """Number of files kept per kernel, the last used ones: a few signatures of a few checkouts."""
@@ -55,6 +55,16 @@ def cache_folders(kernel: Callable[..., object]) -> Iterator[Path]:
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     yield Path(home) / "condvln" / "kernels"
     yield Path(kernel.__code__.co_filename).resolve().parent / "__pycache__"
+
+
+def can_be_kept(kernel: Callable[..., object]) -> bool:
+    """Return whether a folder for a kernel's machine code is writable, so that other processes find the code there."""
+    for folder in cache_folders(kernel):
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                return True
+    return False
 
 
 class KernelCache:

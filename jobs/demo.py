@@ -12,10 +12,11 @@ from condvln.manifest import manifest_lines, manifest_path
 from condvln.samples import make_samples
 from jobs.evaluate import EvaluationReport, Question, evaluate_predictions, walk_split
 from jobs.explore import Exploration, explore
-from jobs.generate import run_generate
+from jobs.generate import CompilationNote, run_generate
 from jobs.report import Report, Section, print_report
 from jobs.show import show_episodes
 from jobs.verify import verify_export
+from jobs.warm_up import KERNEL_MODULES, load_kernels
 from jobs.workspace import published
 from schemas.config import Config, Family, InstructionsConfig, RayConfig, SourceConfig, SplitsConfig
 from schemas.program import CATEGORIES
@@ -59,6 +60,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
         splits=SplitsConfig(fractions=FRACTIONS),
         ray=RayConfig(workers=workers or None),
     )
+    load_kernels(CompilationNote(console), KERNEL_MODULES)  # also those of agents, pictures and scores
     report = run_generate(config, inline=workers == 0, console=console)
     for part in (report, show_episodes(config, sample=SHOWN, picture=out / "pictures")):
         print_report(part)

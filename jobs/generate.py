@@ -9,7 +9,6 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from condvln.compiled import warm_up
 from factory.auto_executor import AutoExecutor
 from factory.executor import Executor, InlineExecutor
 from factory.machine import slowness
@@ -25,6 +24,7 @@ from jobs.pipeline import build_pipeline
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
 from jobs.store_lock import alone_in_store
+from jobs.warm_up import BUILDER, GENERATED_WITH, load_kernels
 from jobs.workspace import git_revision, local_state, open_store, published
 from schemas.config import Config, RayConfig
 from schemas.errors import CorruptShardError, SmallerExportError
@@ -91,12 +91,10 @@ def bring_up_to_date(
     verify : read every file again that what is published rests on, and make those again that differ from their hash
     warm : compile what scenes need before any is read; not worth it where none is expected to be made
     """
-    # Compiled once here, so that workers find the kernels in the cache instead of compiling them side by side.
-    kernels = {"paths", "follower", "line of sight among boxes"}
-    if any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units):
-        kernels.add("navmesh builder")
+    # Compiled once before, so that not each worker compiles them.
     if warm:
-        warm_up(CompilationNote(console), only=kernels)
+        builds = any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units)
+        load_kernels(CompilationNote(console), GENERATED_WITH | {BUILDER} if builds else GENERATED_WITH)
     store = open_store(config)
     with (
         RunProgress(console) as bar,

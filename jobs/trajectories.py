@@ -15,7 +15,6 @@ from typing import Any, Final
 import orjson
 from rich.console import Console
 
-from condvln.compiled import warm_up
 from condvln.formats.image_files import encoders
 from condvln.formats.streams import atomic_stream
 from condvln.manifest import manifest_lines, manifest_path
@@ -50,6 +49,7 @@ from jobs.trajectory_progress import Speed, plan_lines
 from jobs.trajectory_recipe import Comparison, encoder_lines, recipe_target, recipe_units, scene_files
 from jobs.trajectory_request import STATE, Request, refuse_links, refuse_strangers, trajectory_config
 from jobs.trajectory_units import Target, estimate, find_target, list_units
+from jobs.warm_up import load_kernels
 from jobs.workspace import git_revision, hasher
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import StoreError, UsageError
@@ -177,7 +177,7 @@ class _Run:
         clear_parts(self.folder, WRITTEN)
         pipeline = self._pipeline(state)
         forget_damaged(store, self.folder, state)
-        warm_up(CompilationNote(self.console), only={"paths", "follower", "cameras", "depth images", "pixel goals"})
+        load_kernels(CompilationNote(self.console), {"paths", "follower", "cameras", "depth images", "pixel goals"})
         ray = self.work.target.config.ray
         if self.request.workers is not None:
             ray = ray.model_copy(update={"workers": self.request.workers})

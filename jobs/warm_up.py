@@ -1,17 +1,22 @@
-"""``condvln warm-up``: compile all kernels now, side by side, so that no later start waits for them."""
+"""Kernels are compiled side by side: all of them by ``condvln warm-up``, those that a command needs before its work
+begins.
+"""
 
 from __future__ import annotations
 
 import importlib
+import json
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+import subprocess
+import sys
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Final
 
 from jobs.report import Report, Section
 
-__all__ = ["KERNEL_MODULES", "compile_kernels"]
+__all__ = ["BUILDER", "GENERATED_WITH", "KERNEL_MODULES", "compile_kernels", "load_kernels"]
 
 KERNEL_MODULES: Final = {
     "navmesh builder": "condvln.navigation.recast.builder",
@@ -39,6 +44,51 @@ KERNEL_MODULES: Final = {
     "regressions of the bias gate": "condvln.bias.newton_direction",
 }
 """The groups of kernels and the module that registers each; those that take longest come first."""
+
+BUILDER: Final = "navmesh builder"
+GENERATED_WITH: Final = frozenset(KERNEL_MODULES) - {
+    BUILDER,
+    "alignment",
+    "an agent's map",
+    "cameras",
+    "depth images",
+    "pixel goals",
+}
+"""The groups that generating, exporting and proving need where a scene comes with its navmesh."""
+
+CHILD: Final = """
+import json, sys
+sys.path[:], groups = json.loads(sys.argv[1])
+from jobs.warm_up import compile_kernels
+compile_kernels(lambda line: print(line, flush=True), groups)
+"""
+"""Run by a Python that reads neither the environment nor the working folder, so that it imports what this process does.
+A process pool right here would import the main module of whoever calls this package once more."""
+
+
+def load_kernels(note: Callable[[str], None], groups: Collection[str]) -> None:
+    """Load the kernels of `groups`. Those that the cache lacks are compiled first, in as many processes as there are
+    cores.
+
+    note : gets lines about what is compiled; none if the cache holds all
+    """
+    from condvln.compiled import load_cached, warm_up
+    from condvln.kernel_cache import can_be_kept
+
+    ordered = [group for group in KERNEL_MODULES if group in groups]
+    for group in ordered:
+        importlib.import_module(KERNEL_MODULES[group])
+    if load_cached(ordered):
+        return
+    note(f"compiling {len(ordered)} groups of kernels")
+    if len(ordered) > 1 and can_be_kept(load_cached):
+        command = [sys.executable, "-I", "-c", CHILD, json.dumps([sys.path, ordered])]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+            for line in child.stdout or ():
+                note(line.rstrip("\n"))
+        if load_cached(ordered):
+            return
+    warm_up(note, only=ordered)  # what could not be kept is compiled here, and an error is raised here
 
 
 def compile_kernels(note: Callable[[str], None], groups: Sequence[str] = tuple(KERNEL_MODULES)) -> Report:

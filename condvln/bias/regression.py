@@ -334,7 +334,8 @@ def _preconditioner(learned: csr_matrix, penalty: F64, classes: int) -> Precondi
     """
     # The factor of so many words costs half as much in each step as the words of the texts.
     size = min(learned.shape[1], MOST_IN_HEAD, math.isqrt(learned.nnz))
-    factor = head_factor(*_bounds(learned), constant(learned.shape[0]), penalty[:size], 1.0 / classes)
+    most_frequent = np.ascontiguousarray(penalty[:size])
+    factor = head_factor(*_bounds(learned), constant(learned.shape[0]), most_frequent, 1.0 / classes)
     return Preconditioner(factor, 1.0 / (penalty + np.bincount(learned.indices, minlength=len(penalty)) / classes))
 
 

@@ -22,22 +22,21 @@ def test_every_group_that_is_registered_is_compiled(repository: Path) -> None:
 
 
 PROGRAM = """
-import importlib, io, sys
+import io, sys
 from pathlib import Path
 from rich.console import Console
-from condvln.compiled import warm_up
+from condvln.bias import regression
 from condvln.kernel_cache import KernelCache
 from condvln.samples import make_samples
 from jobs.generate import run_generate
-from jobs.warm_up import KERNEL_MODULES
+from jobs.verify import verify_export
+from jobs.warm_up import BUILDER, GENERATED_WITH, load_kernels
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.program import CATEGORIES
 
 folder, family = Path(sys.argv[1]), sys.argv[2]
-make_samples(folder / "data", family=family, scenes=1, seed=3)
-for module in KERNEL_MODULES.values():
-    importlib.import_module(module)
-warm_up()
+make_samples(folder / "data", family=family, scenes=4, seed=3)
+load_kernels(lambda line: None, {*GENERATED_WITH, BUILDER} if family == "procthor" else GENERATED_WITH)
 load = KernelCache.load_overload
 
 def told(self, signature, context):
@@ -45,19 +44,24 @@ def told(self, signature, context):
     return load(self, signature, context)
 
 KernelCache.load_overload = told
+direction, fitted = regression.newton_direction, []
+regression.newton_direction = lambda *arguments: fitted.append(1) or direction(*arguments)
 config = Config(
     name=family, store=folder / "store", export=folder / "export",
     sources=(SourceConfig(family=family, root=folder / "data"),),
-    instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 4)),
+    instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 8)),
 )
-assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
+report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
+assert report.exit_code == 0, report.lines
+assert fitted
+assert verify_export(config, folder / "export").exit_code == 0
 """
 
 
 @pytest.mark.parametrize("family", ["procthor", "replicacad"])
-def test_after_the_warm_up_a_run_compiles_nothing(tmp_path: Path, family: str) -> None:
-    """With a navmesh that is built, and with one that is shipped. In a process of its own; each kernel that it needs
-    and has not, compiled or kept on disk, is told.
+def test_a_run_needs_only_the_kernels_loaded_before_it(tmp_path: Path, family: str) -> None:
+    """With a navmesh that is built, and with one that is shipped: generation, export with regressions, proof. In a
+    process of its own; each kernel that it needs and has not loaded is told.
     """
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(tmp_path), family], capture_output=True, text=True, check=True
@@ -71,6 +75,34 @@ def test_what_the_cache_holds_is_not_compiled_again() -> None:
     report = compile_kernels(said.append, ("json scan",))
     assert report.document == {"compiled": {"json scan": 0}}
     assert said[-1] == "kernels 1/1: json scan, 0 compiled"
+
+
+LOADED = """
+from jobs.warm_up import load_kernels
+load_kernels(print, ["stops passed", "json scan"])
+"""
+
+
+def loaded(folder: Path) -> list[str]:
+    """Load two groups in a process of its own, whose cache is `folder`, and return what was told."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(folder)},
+    )  # fmt: skip
+    return done.stdout.splitlines()
+
+
+def test_what_the_cache_lacks_is_compiled_side_by_side_and_kept(tmp_path: Path) -> None:
+    first, *later = loaded(tmp_path)
+    assert first == "compiling 2 groups of kernels"
+    # As they are done: in processes of their own. This one loads both groups after that and compiles nothing.
+    assert {line.partition(": ")[2].partition(",")[0] for line in later} == {"stops passed", "json scan"}
+    assert loaded(tmp_path) == []
+
+
+def test_without_a_folder_for_kernels_no_other_process_compiles_them(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert [line for line in loaded(tmp_path / "file" / "none") if line.startswith("kernels ")] == []
 
 
 COLD = """
