@@ -128,7 +128,7 @@ for kernel in kernels:
 """
 
 
-@pytest.mark.costly
+@pytest.mark.soak
 def test_no_kernel_is_compiled_once_more_for_the_value_of_a_literal(tmp_path: Path) -> None:
     """With an empty cache, in the two groups that do most; kernels of a few lines may be."""
     groups = ["candidates", "follower"]
