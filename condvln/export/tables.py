@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Final, Protocol
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -28,6 +31,9 @@ __all__ = [
 
 _REMEDY: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files"
 
+SCENE: Final = "scene_id"
+_BUFFER: Final = 1 << 14
+"""Bytes of a column that are read at a time."""
 BATCH_ROWS: Final = 1024
 """Rows decoded at a time: enough to amortise Arrow's calls, few enough to keep memory low."""
 
@@ -97,16 +103,12 @@ class FolderTables:
         parts = [_opened(path) for path in sorted(folder.glob("part-*.parquet"))]
         if not parts:
             raise MissingFileError("no file of this table exists", where=folder, remedy=_REMEDY)
-        for file in sorted(parts, key=_first_scene) if len(parts) > 1 else parts:
-            wanted = _stored(columns, file.schema_arrow.names)
-            # Single-threaded: Arrow's thread pool has aborted processes on busy machines when work was left at exit.
-            try:
-                for batch in file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False):
-                    yield with_numbers(batch, columns)
-            except (pa.ArrowException, OSError) as error:
-                raise FormatError(
-                    f"a part-*.parquet file is damaged ({error})", where=folder, remedy=_REMEDY
-                ) from error
+        wanted = _stored(columns, parts[0].schema_arrow.names)
+        try:
+            for batch in _batches_of(parts[0], wanted) if len(parts) == 1 else _merged(parts, wanted):
+                yield with_numbers(batch, columns)
+        except (pa.ArrowException, OSError, KeyError) as error:
+            raise FormatError(f"a part-*.parquet file is damaged ({error})", where=folder, remedy=_REMEDY) from error
 
 
 def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:
@@ -119,15 +121,35 @@ def _stored(columns: Sequence[str] | None, there: Sequence[str]) -> list[str]:
 
 def _opened(path: Path) -> pq.ParquetFile:
     try:
-        return pq.ParquetFile(path)
+        # Without the buffer, a file's columns would be read as wholes, and all files of a table are open together.
+        return pq.ParquetFile(path, buffer_size=_BUFFER, pre_buffer=False)
     except (pa.ArrowInvalid, OSError) as error:
         raise FormatError(f"not a Parquet file ({error})", where=path, remedy=_REMEDY) from error
 
 
-def _first_scene(file: pq.ParquetFile) -> str:
-    for batch in file.iter_batches(1, columns=["scene_id"], use_threads=False):
-        return str(batch.column(0)[0])
-    return ""
+def _batches_of(file: pq.ParquetFile, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    # Single-threaded: Arrow's thread pool has aborted processes on busy machines when work was left at exit.
+    batches: Iterator[pa.RecordBatch] = file.iter_batches(BATCH_ROWS, columns=[*columns], use_threads=False)
+    return batches
+
+
+def _merged(parts: Sequence[pq.ParquetFile], columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of files, each of which is sorted by ``scene_id``, in that order; a scene is in one file only, and
+    any scene may be in any file.
+    """
+    read = [*columns, *({SCENE} - {*columns})]
+    for _, batch in heapq.merge(*(_pieces(_batches_of(part, read)) for part in parts), key=itemgetter(0)):
+        yield batch.select([*columns])
+
+
+def _pieces(batches: Iterator[pa.RecordBatch]) -> Iterator[tuple[str, pa.RecordBatch]]:
+    """Cut batches where another scene begins; yield (id of the scene, its rows)."""
+    for batch in batches:
+        scenes = batch.column(SCENE)
+        codes = scenes.dictionary_encode().indices.to_numpy()
+        cuts = [0, *(np.flatnonzero(np.diff(codes)) + 1).tolist(), len(codes)]
+        for begin, end in pairwise(cuts):
+            yield scenes[begin].as_py(), batch.slice(begin, end - begin)
 
 
 def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tuple[str, list[Row]]]:

@@ -1,0 +1,59 @@
+"""A source that is published in many files is exported and proven as one in a single file."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from itertools import pairwise
+from pathlib import Path
+
+import pyarrow.parquet as pq
+from rich.console import Console
+
+from condvln.samples import make_samples
+from factory.executor import InlineExecutor
+from factory.local_store import LocalStore
+from factory.run import run
+from jobs.export import export_snapshot_of
+from jobs.generate import run_generate
+from jobs.listing import listed_units
+from jobs.pipeline import build_pipeline
+from jobs.verify import verify_export
+from jobs.workspace import published
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config.run import SplitsConfig
+from schemas.program import CATEGORIES
+
+
+def episodes_of(folder: Path) -> dict[str, str]:
+    """Return the hash of each file of an export that holds episodes, texts or ground truths."""
+    found = [path for path in folder.rglob("*") if path.suffix in (".gz", ".jsonl") and path.is_file()]
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
+
+
+def test_an_export_does_not_depend_on_the_size_of_files(tmp_path: Path) -> None:
+    """Scenes are spread over files by a hash of their names, so that those of a file are not neighbours."""
+    make_samples(tmp_path / "data", family="replicacad", scenes=8, seed=1)
+
+    def config(name: str) -> Config:
+        return Config(
+            name="parts",
+            store=str(tmp_path / name / "store"),
+            export=tmp_path / name / "export",
+            sources=(SourceConfig(family="replicacad", root=tmp_path / "data"),),
+            instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 2)),
+            splits=SplitsConfig(bias="warn"),
+        )
+
+    whole, parts = config("whole"), config("parts")
+    assert run_generate(whole, inline=True, console=Console(file=io.StringIO())).exit_code == 0
+    store = LocalStore(tmp_path / "parts" / "store")
+    run(build_pipeline(parts), listed_units(parts), store, parts.name, InlineExecutor(), part_bytes=100_000)
+    assert published(parts).snapshot_id == published(whole).snapshot_id
+    files = (tmp_path / "parts" / "store" / "snapshots").glob("*/episodes/source=replicacad/*.parquet")
+    scenes = sorted(sorted({*pq.read_table(file, columns=["scene_id"])["scene_id"].to_pylist()}) for file in files)
+    assert any(one[-1] > other[0] for one, other in pairwise(scenes))
+    assert export_snapshot_of(parts).exit_code == 0
+    assert len(episodes_of(tmp_path / "whole/export")) > 8
+    assert episodes_of(tmp_path / "parts/export") == episodes_of(tmp_path / "whole/export")
+    assert verify_export(parts, tmp_path / "parts/export").exit_code == 0
