@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -17,10 +18,12 @@ from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
-from condvln.verify import FACTS, Certificate, Surfaces, VerifierRules, prove_export
+from condvln.verify import FACTS, Certificate, Surfaces, VerifierRules, prove_export, prove_runs
 from condvln.verify.completeness import Fault, find_faults, row_counts
 from jobs.pipeline import open_configured
+from jobs.proof_processes import prove_side_by_side
 from jobs.report import Report, Section
+from jobs.warm_up import PROVEN_WITH, cores, load_kernels
 from jobs.workspace import published
 from schemas.config import Config
 from schemas.errors import InputError, MissingFileError, ProofError, StoreError
@@ -29,11 +32,15 @@ from schemas.file_name import shown_path
 __all__ = ["verify_export"]
 
 MANIFEST: Final = "manifest"
+MOST_WORKERS: Final = 8
+"""Most processes that are started unasked: each of them reads the whole export."""
+EPISODES_A_WORKER: Final = 1500
+"""Number of episodes for which one more process is worth its start, some three seconds."""
 SHOWN: Final = 20
 """Number of disagreements and faults shown on a terminal; the certificates and the summary have all of them."""
 
 
-def verify_export(config: Config, export_dir: Path, *, without_store: bool = False) -> Report:
+def verify_export(config: Config, export_dir: Path, *, without_store: bool = False, workers: int | None = 1) -> Report:
     """Prove every episode of an export from its text and the raw source files, and check that the export is complete.
 
     Certificates are written to ``certificates/`` of the export; where they can't be, the report says so, and its exit
@@ -42,9 +49,12 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     where anything is missing, and where there is nothing to prove.
 
     without_store : leave the snapshot out, as where the store is elsewhere
+    workers : number of processes that prove the scenes, 1 = this one alone; None = one for each core if there is enough
+        to prove. They run the caller's main module again, as those of ``multiprocessing`` do
 
     Raises
     ------
+    ClusterError : one of the processes was killed
     MissingFileError, FormatError : `export_dir` is not an export, or its files are cut and its record does not show it
     """
     tally = _Tally()
@@ -54,7 +64,7 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     written = _Certificates(export_dir)
     try:
         with written:
-            for certificate in prove_export(export_dir, VerifierRules.of(config), _Scenes(config)):
+            for certificate in _certificates(config, export_dir, workers):
                 tally.add(certificate)
                 written.add(certificate)
     except InputError as error:
@@ -66,6 +76,20 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     document = {**tally.document(), "files": _hashes(export_dir)}
     written.summary(document)
     return tally.report(document | written.unwritten(), written)
+
+
+def _certificates(config: Config, export_dir: Path, workers: int | None) -> Iterator[Certificate]:
+    """Yield the certificates of an export, proven by so many processes; see :func:`verify_export`."""
+    if workers is None:
+        workers = min(cores(), MOST_WORKERS, sum(row_counts(export_dir).values()) // EPISODES_A_WORKER)
+    if workers <= 1:
+        return prove_export(export_dir, VerifierRules.of(config), _Scenes(config))
+    load_kernels(partial(print, file=sys.stderr), PROVEN_WITH)
+    return prove_side_by_side(partial(_runs, config, export_dir), workers)
+
+
+def _runs(config: Config, export_dir: Path, mine: Callable[[int], bool]) -> Iterator[tuple[int, list[Certificate]]]:
+    return prove_runs(export_dir, VerifierRules.of(config), _Scenes(config), mine)
 
 
 def _faults_of_snapshot(config: Config, export_dir: Path) -> Iterator[Fault]:

@@ -16,7 +16,7 @@ from typing import Final
 
 from jobs.report import Report, Section
 
-__all__ = ["BUILDER", "GENERATED_WITH", "KERNEL_MODULES", "compile_kernels", "load_kernels"]
+__all__ = ["BUILDER", "GENERATED_WITH", "KERNEL_MODULES", "PROVEN_WITH", "compile_kernels", "cores", "load_kernels"]
 
 KERNEL_MODULES: Final = {
     "navmesh builder": "condvln.navigation.recast.builder",
@@ -56,6 +56,21 @@ GENERATED_WITH: Final = frozenset(KERNEL_MODULES) - {
 }
 """The groups that generating, exporting and proving need where a scene comes with its navmesh."""
 
+PROVEN_WITH: Final = frozenset(
+    {
+        "follower",
+        "gaps between leaves",
+        "json scan",
+        "line of sight among boxes",
+        "lines of sight in range",
+        "looks of the verifier",
+        "paths",
+        "paths that part",
+        "stops passed",
+    }
+)
+"""The groups that proving needs where a scene comes with its navmesh."""
+
 CHILD: Final = """
 import json, sys
 sys.path[:], groups = json.loads(sys.argv[1])
@@ -64,6 +79,11 @@ compile_kernels(lambda line: print(line, flush=True), groups)
 """
 """Run by a Python that reads neither the environment nor the working folder, so that it imports what this process does.
 A process pool right here would import the main module of whoever calls this package once more."""
+
+
+def cores() -> int:
+    """Return the number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def load_kernels(note: Callable[[str], None], groups: Collection[str]) -> None:
@@ -97,9 +117,8 @@ def compile_kernels(note: Callable[[str], None], groups: Sequence[str] = tuple(K
     note : gets one line when a group is ready
     """
     found: dict[str, int] = {}
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(cores, len(groups)), mp_context=context) as pool:
+    with ProcessPoolExecutor(min(cores(), len(groups)), mp_context=context) as pool:
         tasks = {pool.submit(_compile, group): group for group in groups}
         for task in as_completed(tasks):
             found[tasks[task]] = task.result()

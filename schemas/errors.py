@@ -15,7 +15,7 @@
     │   └── PublishConflictError  another publisher moved the ref first
     ├── SmallerExportError      a new export would hold less for no known reason        exit 3
     ├── TransientIOError        worth another try (network, busy disk)
-    ├── ClusterError            Ray died, or does not answer any more; what was committed stays
+    ├── ClusterError            Ray or a process of ours died, or does not answer; what was committed stays
     ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
     ├── DeadlineError           a unit ran longer than its deadline
     ├── MemoryCeilingError      a unit outgrew the memory ceiling of its process (also a MemoryError)

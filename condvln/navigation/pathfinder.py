@@ -377,6 +377,7 @@ def _warm_up() -> None:
     pathfinder.find_path(start, end)
     pathfinder.distance_table([start], [end])
     pathfinder.find_multi_goal_path(start, [end])
+    pathfinder.snap_point(start)
     pathfinder.is_navigable(start)
     pathfinder.get_random_navigable_point()
     pathfinder.try_step(start, end)

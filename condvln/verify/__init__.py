@@ -5,7 +5,7 @@ It shares no code with the modules that generate relations, instructions and epi
 
 from condvln.verify.certificate import FACTS, Certificate, Disagreement
 from condvln.verify.observability import Surfaces
-from condvln.verify.proof import prove_export
+from condvln.verify.proof import prove_export, prove_runs
 from condvln.verify.rules import VerifierRules
 from condvln.verify.text_reader import TextReading, Unreadable, read
 
@@ -18,5 +18,6 @@ __all__ = [
     "Unreadable",
     "VerifierRules",
     "prove_export",
+    "prove_runs",
     "read",
 ]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
@@ -30,7 +31,7 @@ from condvln.verify.visibility import Onlookers, check_seen
 from condvln.verify.walks import Walks
 from schemas.errors import InputError, MissingFileError, PathEscapeError
 
-__all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_scene"]
+__all__ = ["Navmesh", "SceneReader", "find_navmesh", "prove_export", "prove_runs", "prove_scene"]
 
 
 class SceneReader(Protocol):
@@ -59,39 +60,60 @@ def prove_export(folder: Path, rules: VerifierRules, read_scene: SceneReader) ->
     ------
     InputError : the export itself can't be read
     """
+    for _, certificates in prove_runs(folder, rules, read_scene, lambda number: True):
+        yield from certificates
+
+
+def prove_runs(
+    folder: Path, rules: VerifierRules, read_scene: SceneReader, mine: Callable[[int], bool]
+) -> Iterator[tuple[int, list[Certificate]]]:
+    """Yield (number, certificates) of each scene of an export that is `mine`, in the order of the export; at the end,
+    the number of all scenes with the certificates of entries that can't be read.
+
+    All scenes are read, and asked for in turn, since an episode's ids and texts are compared with all earlier ones.
+
+    Raises
+    ------
+    InputError : the export itself can't be read
+    """
     files = ExportFiles(folder)
     corpus = Corpus()
     shapes: dict[Path, Shapes] = {}
     runs = files.runs()
 
-    def certificates_of_next() -> list[Certificate] | None:
+    def certificates_of_next(number: int) -> list[Certificate] | None:
+        """Return the certificates of the next scene, none if it is not mine; None at the end."""
         run = next(runs, None)
         if run is None:
             return None
+        proven = mine(number)
         certificates = [_certificate(row) for row in run.rows]
         try:
-            scene, surfaces = read_scene(run.source, run.scene_id)
-            own = shapes.setdefault(scene.root, Shapes(scene.root))
-            prove_scene(run.rows, certificates, scene, surfaces, folder, rules, own)
+            if proven:
+                scene, surfaces = read_scene(run.source, run.scene_id)
+                own = shapes.setdefault(scene.root, Shapes(scene.root))
+                prove_scene(run.rows, certificates, scene, surfaces, folder, rules, own)
         except InputError as error:
             for certificate in certificates:
                 certificate.holds("readable", False, f"{run.source}/{run.scene_id}", str(error))
         for row, certificate in zip(run.rows, certificates, strict=True):
             corpus.check(row.manifest, row.split, certificate)
-        return certificates
+        return certificates if proven else []
 
-    while True:
+    for number in count():
         # Garbage collection over the rows would take a fifth of the time. The rows are freed before it is on again,
         # since it would scan everything that is still alive.
         with no_collection():
-            certificates = certificates_of_next()
+            certificates = certificates_of_next(number)
         if certificates is None:
             break
-        yield from certificates
+        if certificates:
+            yield number, certificates
+    unread = []
     for entry in files.unread:
-        certificate = Certificate(entry.episode_id, "", "", entry.split)
-        certificate.holds(entry.fact, False, entry.claimed, entry.found)
-        yield certificate
+        unread.append(Certificate(entry.episode_id, "", "", entry.split))
+        unread[-1].holds(entry.fact, False, entry.claimed, entry.found)
+    yield number, unread
 
 
 def prove_scene(

@@ -370,15 +370,19 @@ class Sight:
         known, least = self._geometry, self._rules.object_seen
         triangles, faces = self._triangles(item), self._faces(item)
         if triangles is None:
-            points, count = item.center[None], 0
+            points = item.center[None]
+            return _Points(points, 0, self._own_boxes(object_id, points), least)
+        ours = evenly(triangles)
+        if known is not None and len(faces):
+            published = mesh_samples(known.vertices, faces)
+            lie_on = self._own_boxes(object_id, published)
         else:
-            if known is not None and len(faces):
-                published = mesh_samples(known.vertices, faces)
-            else:
-                published = np.concatenate([box_samples(*box) for box in _boxes(item)])
-            ours = evenly(triangles)
-            points, count = np.concatenate([ours, published]), len(ours)
-        return _Points(points, count, self._own_boxes(object_id, points), least)
+            # A point where boxes of an object meet lies on the box that it was chosen from.
+            parts = [box_samples(*box) for box in _boxes(item)]
+            numbers = self._boxes.get(object_id, [-1] * len(parts))
+            published, lie_on = np.concatenate(parts), np.repeat(numbers, [len(part) for part in parts])
+        boxes = np.concatenate([self._own_boxes(object_id, ours), lie_on])
+        return _Points(np.concatenate([ours, published]), len(ours), boxes, least)
 
     def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
         """Return for each of an object's points (k, 3) the index of the object's box that the point lies on. Of several

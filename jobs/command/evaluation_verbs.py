@@ -35,6 +35,14 @@ def verify(
         ),
     ] = None,
     split: Annotated[str, typer.Option(help="split of the trajectories' episodes")] = "train",
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="number of processes that prove an export's scenes, of some 0.6 GiB each; by default one for each "
+            "core, at most 8, and fewer for a small export",
+        ),
+    ] = None,
     overrides: Overrides = None,
     as_json: AsJson = False,
 ) -> None:
@@ -58,7 +66,7 @@ def verify(
     folder = export or loaded.export
     if folder is None:
         raise UsageError("no export folder is named", place="export", remedy="Set export: FOLDER, or say --export DIR.")
-    report = verify_export(loaded, folder, without_store=without_store)
+    report = verify_export(loaded, folder, without_store=without_store, workers=workers)
     answer(report, as_json)
     leave(report.exit_code)
 

@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import binom
 
 from condvln.episodes.floor import floor_points
 from condvln.episodes.goals import blocked_footprints, wide_islands
+from condvln.episodes.view import SceneView
 from condvln.navigation.occluders import BoxOccluders
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, in_view
-from condvln.scene import Room, Scene
+from condvln.scene import OrientedBox, Room, Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
 from condvln.verify import sight as module
 from condvln.verify.footprints import Obstacles
@@ -25,6 +28,7 @@ from condvln.verify.kernels.looking import in_front, in_range
 from condvln.verify.proof import find_navmesh
 from condvln.verify.sight import ODDS, OWN_POINTS, Eyes, Sight, _Points, evenly, much
 from schemas.config import EpisodeConfig, PlacesConfig
+from schemas.config.constants import FIRST_VIEW_DEGREES
 from tests.condvln.episodes.floors import box, box_triangles, surfaces_of
 
 LEAST = 0.05
@@ -133,6 +137,31 @@ def sees(
     sight.look((one, EYE) for one in sought)  # asked again, and cast once
     assert sight.approximate == (geometry is None or geometry.approximate)
     return {name: sight.is_seen((kind, name), EYE, yaw) for kind, name in sought}
+
+
+def overlapping_parts() -> st.SearchStrategy[tuple[OrientedBox, ...]]:
+    """Boxes such as the arms of a counter, which meet, cross or hold each other."""
+    numbers = st.integers(-4, 4).map(lambda number: number / 8)
+    middle = st.tuples(numbers, numbers, numbers)
+    half = st.tuples(*[st.integers(1, 4).map(lambda number: number / 8)] * 3)
+    part = st.builds(lambda at, size: OrientedBox(np.array(at), np.array(size), np.eye(3)), middle, half)
+    return st.lists(part, min_size=2, max_size=3).map(tuple)
+
+
+@given(parts=overlapping_parts(), place=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
+def test_published_points_are_seen_as_the_generator_sees_them(
+    parts: tuple[OrientedBox, ...], place: tuple[float, float, float]
+) -> None:
+    """A point where boxes of an object meet lies on the box that it was chosen from; the other boxes may hide it."""
+    whole = dataclasses.replace(box("counter", 0.0, 0.0, half=1.0, top=1.0), object_id="counter", parts=parts)
+    scene, eyes = Scene("made", "flat", Path("."), (), (whole,)), Eyes(np.array([place]))
+    none: Any = lambda item: False  # noqa: E731
+    sight = Sight(scene, None, none, none, lambda room_id: np.empty((0, 3)), PlacesConfig(), EpisodeConfig())
+    sight.look([(("thing", "counter"), eyes)])
+    view = SceneView(scene)
+    around = View(range=PlacesConfig().sight_range, pitch=FIRST_VIEW_DEGREES / 2)
+    expected = view.seen(eyes.places, view.target("counter"), around).mean()
+    assert sight.shares(("thing", "counter"), eyes)[-1] == round(float(expected), 3)
 
 
 def test_many_walks_of_a_scene_keep_few_lines_of_sight(monkeypatch: pytest.MonkeyPatch) -> None:

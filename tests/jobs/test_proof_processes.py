@@ -1,0 +1,150 @@
+"""A proof that is shared out over processes says what one process says."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from condvln.export.contents import CERTIFICATES
+from condvln.verify import Certificate
+from jobs.proof_processes import prove_side_by_side
+from jobs.report import Report
+from jobs.verify import verify_export
+from schemas.config import Config
+from schemas.errors import ClusterError, FormatError
+
+SCENES = 9
+
+
+def certificate(number: int) -> Certificate:
+    return Certificate(number, "made", f"scene {number}", "train", {"words": os.getpid()})
+
+
+def scenes(fault: str, mine: Callable[[int], bool]) -> Iterator[tuple[int, list[Certificate]]]:
+    """Prove made scenes of two episodes each; at the sixth of them comes the fault."""
+    for number in range(SCENES):
+        if fault == "unread" and number == 5:
+            raise FormatError("cut", where="a.json", remedy="Export again")
+        if mine(number):
+            if fault == "killed" and number == 5:
+                os.kill(os.getpid(), signal.SIGKILL)
+            if fault == "left" and number == 5:
+                os._exit(7)
+            found = certificate(number)
+            if fault == "unpicklable" and number == 5:
+                found.conditions.append({"a function": lambda: None})
+            yield number, [found, found]
+    yield SCENES, [certificate(SCENES)]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_certificates_come_in_order_and_once(workers: int) -> None:
+    found = [*prove_side_by_side(partial(scenes, "none"), workers)]
+    assert [one.episode_id for one in found] == [*sorted([*range(SCENES)] * 2), SCENES]
+    assert os.getpid() not in {one.checked["words"] for one in found}
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "message"),
+    [
+        ("unread", FormatError, "a.json: cut"),
+        ("killed", ClusterError, "signal 9"),
+        ("left", ClusterError, "exit code 7"),
+        ("unpicklable", AttributeError, "pickle"),
+    ],
+)
+def test_what_ends_a_process_ends_the_proof_and_is_told(fault: str, error: type[Exception], message: str) -> None:
+    found: list[int | str] = []
+    with pytest.raises(error, match=message):
+        found.extend(one.episode_id for one in prove_side_by_side(partial(scenes, fault), 2))
+    assert set(found) <= set(range(5))
+    if fault in ("unread", "unpicklable"):
+        assert found == sorted([*range(5)] * 2)
+
+
+@pytest.fixture(scope="module")
+def made(export: Path, made_run: tuple[Config, Report]) -> tuple[Config, Path]:
+    return made_run[0], export
+
+
+def both(config: Config, folder: Path, tmp_path: Path) -> list[tuple[Report, dict[str, bytes]]]:
+    """Return the reports and certificates of one process, and of two."""
+    found = []
+    for workers in (1, 2):
+        own = Path(shutil.copytree(folder, tmp_path / str(workers)))
+        report = verify_export(config, own, workers=workers)
+        kept = {path.name: path.read_bytes() for path in (own / CERTIFICATES).iterdir()}
+        found.append((report, kept))
+    return found
+
+
+def test_two_processes_write_the_same_certificates(made: tuple[Config, Path], tmp_path: Path) -> None:
+    (one, its), (two, others) = both(*made, tmp_path)
+    assert one.exit_code == two.exit_code == 0
+    assert one.document == two.document
+    assert its == others
+    assert len(its) > 1
+
+
+def test_two_processes_find_the_same_faults(made: tuple[Config, Path], tmp_path: Path) -> None:
+    """A text that says something else, an episode that is there twice, a record without a row."""
+    config, whole = made
+    folder = Path(shutil.copytree(whole, tmp_path / "folder"))
+    manifest = max(folder.glob("manifest/*.jsonl"), key=lambda path: path.stat().st_size)
+    lines = manifest.read_bytes().splitlines(keepends=True)
+    lines[0] = lines[0].replace(b" is ", b" isn't ", 1).replace(b"there's a", b"there's no", 1)
+    manifest.write_bytes(b"".join([*lines[:-1], lines[1]]))
+    (one, its), (two, others) = both(config, folder, tmp_path)
+    assert one.exit_code == two.exit_code == 3
+    assert one.lines[:-1] == two.lines[:-1]  # the last one names the folder
+    assert its == others
+
+
+def test_two_processes_refuse_the_same_export(made: tuple[Config, Path], tmp_path: Path) -> None:
+    config, whole = made
+    folder = Path(shutil.copytree(whole, tmp_path / "folder"))
+    truths = max(folder.glob("vlnce/*/*_gt.json.gz"), key=lambda path: path.stat().st_size)
+    truths.write_bytes(gzip.compress(gzip.decompress(truths.read_bytes())[:-9]))
+    (one, _), (two, _) = both(config, folder, tmp_path)
+    assert one.exit_code == two.exit_code == 3
+    assert one.document["faults"] == two.document["faults"]
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from condvln.kernel_cache import KernelCache
+from jobs.verify import verify_export
+from jobs.warm_up import PROVEN_WITH, load_kernels
+from schemas.config import Config
+
+load_kernels(print, PROVEN_WITH)
+load = KernelCache.load_overload
+
+def told(self, signature, context):
+    print("not ready:", self._kernel.__module__, self._kernel.__name__, signature)
+    return load(self, signature, context)
+
+KernelCache.load_overload = told
+config = Config.model_validate_json(sys.argv[1])
+assert verify_export(config, Path(sys.argv[2])).exit_code == 0
+"""
+
+
+def test_a_proof_needs_only_the_kernels_loaded_before_it(made: tuple[Config, Path], tmp_path: Path) -> None:
+    config, whole = made
+    folder = shutil.copytree(whole, tmp_path / "folder")
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, config.model_dump_json(), str(folder)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout == ""
