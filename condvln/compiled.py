@@ -169,10 +169,10 @@ class _Announcer(numba_event.Listener):  # type: ignore[misc]
     def on_start(self, event: Any) -> None:
         depth = getattr(self._depth, "value", 0)
         function = event.data["dispatcher"].py_func
+        self._depth.value = depth + 1  # before the message, which may raise: the event ends in any case
         # Another package's kernel is not told, nor one that is called by the kernel that was told.
         if not depth and function.__module__.startswith("condvln."):
-            self._tell(function)  # may raise: then there is no end of this event
-        self._depth.value = depth + 1
+            self._tell(function)
 
     def _tell(self, function: FunctionType) -> None:
         if self.report is not None:

@@ -9,13 +9,15 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 import signal
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Final, Literal, NamedTuple
 
 from condvln.verify import Certificate
-from schemas.errors import ClusterError
+from jobs.parent_watch import end_with_parent
+from schemas.errors import ClusterError, CondVLNError
 
 __all__ = ["Prover", "prove_side_by_side"]
 
@@ -51,10 +53,10 @@ def prove_side_by_side(prove: Prover, workers: int) -> Iterator[Certificate]:
     try:
         for _ in range(workers):
             reader, writer = context.Pipe(duplex=False)
-            # A daemon ends with this process, however this one ends.
-            readers[reader] = context.Process(target=_process, args=(prove, claimed, room, writer), daemon=True)
-            readers[reader].start()
+            process = context.Process(target=_process, args=(prove, claimed, room, writer), daemon=True)
+            process.start()
             writer.close()  # so that the pipe ends when its process does
+            readers[reader] = process
         yield from _in_order(_all_told(readers), room.release)
     finally:
         for reader, process in readers.items():
@@ -89,8 +91,8 @@ def _all_told(readers: Mapping[Connection, SpawnProcess]) -> Iterator[_Told]:
         for reader in wait([*open_ones]):
             assert isinstance(reader, Connection)
             try:
-                found: _Told = pickle.loads(reader.recv_bytes())
-            except EOFError:
+                data = reader.recv_bytes()
+            except (EOFError, OSError):  # the latter in the middle of a message
                 process = readers[reader]
                 process.join()
                 code = process.exitcode or 0
@@ -98,6 +100,7 @@ def _all_told(readers: Mapping[Connection, SpawnProcess]) -> Iterator[_Told]:
                     f"a process of the proof ended with {f'signal {-code}' if code < 0 else f'exit code {code}'}",
                     remedy="Prove with fewer processes (--workers 1) if memory was short.",
                 ) from None
+            found: _Told = pickle.loads(data)
             if found.kind != "scene":
                 open_ones.remove(reader)
             yield found
@@ -106,6 +109,7 @@ def _all_told(readers: Mapping[Connection, SpawnProcess]) -> Iterator[_Told]:
 def _process(prove: Prover, claimed: Any, room: Any, writer: Connection) -> None:
     """Prove the scenes that this process claims; run in a process of its own."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this one ends it
+    end_with_parent()
     seen, proving = 0, False
 
     def mine(number: int) -> bool:
@@ -127,7 +131,15 @@ def _process(prove: Prover, claimed: Any, room: Any, writer: Connection) -> None
             tell("scene" if proving else "end", number, certificates)
             proving = False
     except Exception as error:  # raised again where the certificates are taken
-        try:
-            tell("error", seen - proving, error)
-        except Exception:
-            tell("error", seen - proving, RuntimeError(repr(error)))
+        if not isinstance(error, CondVLNError):
+            traceback.print_exc()  # it does not travel
+        tell("error", seen - proving, _travels(error))
+
+
+def _travels(error: Exception) -> Exception:
+    """Return an error that another process can read: the same one if it can be."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(repr(error))
+    return error

@@ -20,6 +20,7 @@ from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
 from condvln.verify import FACTS, Certificate, Surfaces, VerifierRules, prove_export, prove_runs
 from condvln.verify.completeness import Fault, find_faults, row_counts
+from factory.machine import memory_available
 from jobs.pipeline import open_configured
 from jobs.proof_processes import prove_side_by_side
 from jobs.report import Report, Section
@@ -36,6 +37,8 @@ MOST_WORKERS: Final = 8
 """Most processes that are started unasked: each of them reads the whole export."""
 EPISODES_A_WORKER: Final = 1500
 """Number of episodes for which one more process is worth its start, some three seconds."""
+WORKER_BYTES: Final = 700 << 20
+"""Free memory that one process is taken to need."""
 SHOWN: Final = 20
 """Number of disagreements and faults shown on a terminal; the certificates and the summary have all of them."""
 
@@ -81,7 +84,9 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
 def _certificates(config: Config, export_dir: Path, workers: int | None) -> Iterator[Certificate]:
     """Yield the certificates of an export, proven by so many processes; see :func:`verify_export`."""
     if workers is None:
-        workers = min(cores(), MOST_WORKERS, sum(row_counts(export_dir).values()) // EPISODES_A_WORKER)
+        worth = sum(row_counts(export_dir).values()) // EPISODES_A_WORKER
+        free = memory_available()  # 0 where unknown
+        workers = min(cores(), MOST_WORKERS, worth, free // WORKER_BYTES if free else MOST_WORKERS)
     if workers <= 1:
         return prove_export(export_dir, VerifierRules.of(config), _Scenes(config))
     load_kernels(partial(print, file=sys.stderr), PROVEN_WITH)

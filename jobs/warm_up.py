@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Final
 
+from jobs.parent_watch import end_with_parent
 from jobs.report import Report, Section
 
 __all__ = ["BUILDER", "GENERATED_WITH", "KERNEL_MODULES", "PROVEN_WITH", "compile_kernels", "cores", "load_kernels"]
@@ -102,10 +103,15 @@ def load_kernels(note: Callable[[str], None], groups: Collection[str]) -> None:
         return
     note(f"compiling {len(ordered)} groups of kernels")
     if len(ordered) > 1 and can_be_kept(load_cached):
-        command = [sys.executable, "-I", "-c", CHILD, json.dumps([sys.path, ordered])]
+        path = [entry for entry in sys.path if isinstance(entry, str)]
+        command = [sys.executable, "-I", "-c", CHILD, json.dumps([path, ordered])]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
-            for line in child.stdout or ():
-                note(line.rstrip("\n"))
+            try:
+                for line in child.stdout or ():
+                    note(line.rstrip("\n"))
+            except BaseException:
+                child.kill()  # its processes end with it
+                raise
         if load_cached(ordered):
             return
     warm_up(note, only=ordered)  # what could not be kept is compiled here, and an error is raised here
@@ -118,11 +124,15 @@ def compile_kernels(note: Callable[[str], None], groups: Sequence[str] = tuple(K
     """
     found: dict[str, int] = {}
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(cores(), len(groups)), mp_context=context) as pool:
+    with ProcessPoolExecutor(min(cores(), len(groups)), mp_context=context, initializer=end_with_parent) as pool:
         tasks = {pool.submit(_compile, group): group for group in groups}
-        for task in as_completed(tasks):
-            found[tasks[task]] = task.result()
-            note(f"kernels {len(found)}/{len(groups)}: {tasks[task]}, {found[tasks[task]]} compiled")
+        try:
+            for task in as_completed(tasks):
+                found[tasks[task]] = task.result()
+                note(f"kernels {len(found)}/{len(groups)}: {tasks[task]}, {found[tasks[task]]} compiled")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     rows: list[tuple[str | int, ...]] = [(group, found[group]) for group in groups]
     lines = [f"{sum(found.values())} kernels compiled; the others were in the cache"]
     return Report({"compiled": found}, lines, [Section("Kernels", ("group", "compiled"), [*rows])])

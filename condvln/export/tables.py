@@ -107,7 +107,7 @@ class FolderTables:
         try:
             for batch in _batches_of(parts[0], wanted) if len(parts) == 1 else _merged(parts, wanted):
                 yield with_numbers(batch, columns)
-        except (pa.ArrowException, OSError, KeyError) as error:
+        except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
             raise FormatError(f"a part-*.parquet file is damaged ({error})", where=folder, remedy=_REMEDY) from error
 
 

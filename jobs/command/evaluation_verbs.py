@@ -40,7 +40,7 @@ def verify(
         typer.Option(
             min=1,
             help="number of processes that prove an export's scenes, of some 0.6 GiB each; by default one for each "
-            "core, at most 8, and fewer for a small export",
+            "core, at most 8, and fewer for a small export or little memory",
         ),
     ] = None,
     overrides: Overrides = None,

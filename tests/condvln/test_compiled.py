@@ -370,6 +370,26 @@ def test_progress_is_told_while_kernels_compile(tmp_path: Path) -> None:
     assert lines == [[step, "compiling condvln.navigation.kernels.geometry.distance"], [step]]
 
 
+def test_what_the_cache_lacks_is_refused_as_often_as_it_is_asked_for(tmp_path: Path) -> None:
+    code = (
+        "from condvln.compiled import load_cached, register_warm_up, warm_up, compiled\n"
+        "from condvln.navigation.kernels.geometry import distance\n"
+        "import numpy as np\n"
+        "register_warm_up('geometry', lambda: distance(*[np.float32(0)] * 6))\n"
+        "print([load_cached(['geometry']) for _ in range(4)], distance.signatures)\n"
+        "warm_up(print)\n"
+        "print(load_cached(['geometry']))"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        "[False, False, False, False] []",
+        "navigation kernels 1/1: geometry",
+        "compiling condvln.navigation.kernels.geometry.distance",
+        "True",
+    ]
+
+
 def test_public_names_load_on_first_use() -> None:
     assert set(condvln.navigation.__all__) == set(condvln.navigation._MODULE_OF)
     for name in condvln.navigation.__all__:

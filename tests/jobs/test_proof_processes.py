@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
+import psutil
 import pytest
 
 from condvln.export.contents import CERTIFICATES
@@ -23,6 +24,13 @@ from schemas.config import Config
 from schemas.errors import ClusterError, FormatError
 
 SCENES = 9
+
+
+class OddError(Exception):
+    """Can be pickled, and not read again."""
+
+    def __init__(self, one: str, other: str) -> None:
+        super().__init__(f"{one} {other}")
 
 
 def certificate(number: int) -> Certificate:
@@ -40,6 +48,8 @@ def scenes(fault: str, mine: Callable[[int], bool]) -> Iterator[tuple[int, list[
             if fault == "left" and number == 5:
                 os._exit(7)
             found = certificate(number)
+            if fault == "odd error" and number == 5:
+                raise OddError("both", "words")
             if fault == "unpicklable" and number == 5:
                 found.conditions.append({"a function": lambda: None})
             yield number, [found, found]
@@ -60,6 +70,7 @@ def test_certificates_come_in_order_and_once(workers: int) -> None:
         ("killed", ClusterError, "signal 9"),
         ("left", ClusterError, "exit code 7"),
         ("unpicklable", AttributeError, "pickle"),
+        ("odd error", RuntimeError, "both words"),
     ],
 )
 def test_what_ends_a_process_ends_the_proof_and_is_told(fault: str, error: type[Exception], message: str) -> None:
@@ -67,8 +78,49 @@ def test_what_ends_a_process_ends_the_proof_and_is_told(fault: str, error: type[
     with pytest.raises(error, match=message):
         found.extend(one.episode_id for one in prove_side_by_side(partial(scenes, fault), 2))
     assert set(found) <= set(range(5))
-    if fault in ("unread", "unpicklable"):
+    if fault in ("unread", "unpicklable", "odd error"):
         assert found == sorted([*range(5)] * 2)
+
+
+def test_a_process_that_can_not_start_is_told() -> None:
+    with pytest.raises(AttributeError, match="pickle"):
+        next(prove_side_by_side(lambda mine: iter(()), 2))
+
+
+ORPHANS = """
+import os, sys, time
+from functools import partial
+from jobs.proof_processes import prove_side_by_side
+
+def scenes(mine):
+    for number in range(40):
+        if mine(number):
+            if number == 0:
+                print("child", os.getpid(), flush=True)
+                time.sleep(600)
+            print("child", os.getpid(), flush=True)
+            yield number, []
+    yield 40, []
+
+if __name__ == "__main__":
+    for _ in prove_side_by_side(scenes, 3):
+        pass
+"""
+
+
+def test_no_process_outlives_the_one_that_started_it(tmp_path: Path) -> None:
+    """The first scene is slow, so that the others wait for a place, one of them with the lock."""
+    (tmp_path / "orphans.py").write_text(ORPHANS)
+    command = [sys.executable, str(tmp_path / "orphans.py")]
+    root = str(Path(__file__).parents[2])
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": root}) as parent:
+        assert parent.stdout is not None
+        children = set()
+        while len(children) < 2:
+            children.add(int(parent.stdout.readline().split()[1]))
+        parent.kill()
+        alive = [psutil.Process(pid) for pid in children if psutil.pid_exists(pid)]
+        assert psutil.wait_procs(alive, timeout=20)[1] == []
 
 
 @pytest.fixture(scope="module")

@@ -59,3 +59,11 @@ def test_a_damaged_file_among_several_is_named(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:4] + b"\xff" * 40 + file.read_bytes()[44:])
     with pytest.raises(FormatError, match=r"part-\*\.parquet file is damaged|not a Parquet file"):
         read(tmp_path, None)
+
+
+def test_files_that_name_scenes_differently_are_damaged(tmp_path: Path) -> None:
+    written(tmp_path, [("a", 1, 0), ("b", 2, 1)])
+    file = tmp_path / "objects" / "source=made" / PART.format(1)
+    pq.write_table(pa.table({"number": [1], "scene_id": [7]}), file)
+    with pytest.raises(FormatError, match="damaged"):
+        read(tmp_path, None)
