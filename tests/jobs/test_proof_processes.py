@@ -15,6 +15,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+import jobs.verify
 from condvln.export.contents import CERTIFICATES
 from condvln.verify import Certificate
 from jobs.proof_processes import prove_side_by_side
@@ -169,6 +170,39 @@ def test_two_processes_refuse_the_same_export(made: tuple[Config, Path], tmp_pat
     (one, _), (two, _) = both(config, folder, tmp_path)
     assert one.exit_code == two.exit_code == 3
     assert one.document["faults"] == two.document["faults"]
+
+
+@pytest.mark.parametrize(
+    ("episodes", "cores", "gib", "expected"),
+    [
+        (2_999, 64, 64, 1),
+        (3_000, 64, 64, 2),
+        (10**6, 64, 64, 8),
+        (10**6, 4, 64, 4),
+        (10**6, 64, 2, 2),
+        (10**6, 64, 0, 8),
+    ],
+)
+def test_processes_are_as_many_as_are_worth_it_and_have_room(
+    monkeypatch: pytest.MonkeyPatch, made: tuple[Config, Path], episodes: int, cores: int, gib: int, expected: int
+) -> None:
+    """No free memory is known where its number is 0."""
+    started: list[int] = []
+
+    def prove(_: object, workers: int) -> Iterator[Certificate]:
+        started.append(workers)
+        return iter(())
+
+    for name, found in {
+        "row_counts": lambda folder: {"train": episodes},
+        "cores": lambda: cores,
+        "memory_available": lambda: gib << 30,
+        "prove_side_by_side": prove,
+        "load_kernels": lambda note, groups: None,
+    }.items():
+        monkeypatch.setattr(f"jobs.verify.{name}", found)
+    next(jobs.verify._certificates(*made, None), None)
+    assert (started or [1]) == [expected]
 
 
 PROGRAM = """

@@ -6,8 +6,10 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from jobs.warm_up import KERNEL_MODULES, compile_kernels
@@ -78,8 +80,11 @@ def test_what_the_cache_holds_is_not_compiled_again() -> None:
 
 
 LOADED = """
+import sys
+from pathlib import Path
 from jobs.warm_up import load_kernels
-load_kernels(print, ["stops passed", "json scan"])
+sys.path.append(Path("no text"))  # Python skips such entries
+load_kernels(lambda line: print(line, flush=True), ["stops passed", "json scan"])
 """
 
 
@@ -98,6 +103,25 @@ def test_what_the_cache_lacks_is_compiled_side_by_side_and_kept(tmp_path: Path) 
     # As they are done: in processes of their own. This one loads both groups after that and compiles nothing.
     assert {line.partition(": ")[2].partition(",")[0] for line in later} == {"stops passed", "json scan"}
     assert loaded(tmp_path) == []
+
+
+def test_a_compiler_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None:
+    """What it has not compiled is compiled where it is needed."""
+    with subprocess.Popen(
+        [sys.executable, "-c", LOADED], stdout=subprocess.PIPE, text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == "compiling 2 groups of kernels\n"
+        deadline = time.monotonic() + 60
+        while len(others := psutil.Process(process.pid).children(recursive=True)) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        next(one for one in others if one.ppid() == process.pid).kill()
+        said = process.stdout.read()
+    assert process.returncode == 0
+    assert "compiling condvln." in said
+    assert psutil.wait_procs(others, timeout=20)[1] == []
 
 
 def test_without_a_folder_for_kernels_no_other_process_compiles_them(tmp_path: Path) -> None:
