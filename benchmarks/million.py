@@ -150,6 +150,8 @@ def _measured(families: Sequence[Family], scenes: int, asked: int) -> dict[str, 
                 if cost.exported:
                     found[f"{family} (made)" if made else family] = cost
                     break
+            else:
+                raise SystemExit(f"{family}: no episodes, neither of real scenes nor of made ones")
     return found
 
 
@@ -175,7 +177,9 @@ def _print_scaled(console: Console, costs: dict[str, Cost], price: float) -> Non
     """Print what a million episodes take, and how long on some CPUs. A thousand million take a thousand times as much,
     since the driver's own part, which grows with the scenes, is far below a hundredth.
     """
-    table = Table(title="a million episodes, scaled from these scenes; for a thousand million, take thousands of all")
+    table = Table(
+        title="a million episodes, scaled from these scenes; a thousand million take a thousand times as much"
+    )
     columns = ("CPU h", *(f"h on {cpus} CPUs" for cpus in CPUS), f"at {price} a CPU hour")
     for column in ("family", *columns, "units, GB", "tables, GB", "export, GB"):
         table.add_column(column, justify="right")

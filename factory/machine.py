@@ -19,6 +19,7 @@ import numpy as np
 __all__ = [
     "REFERENCE_PROBE_SECONDS",
     "container_limits",
+    "cores",
     "host",
     "library_versions",
     "memory_available",
@@ -95,6 +96,11 @@ def _statm(field: int) -> int:
 def memory_total() -> int:
     """Return the memory of this machine or its container in bytes; 0 where the system does not report it."""
     return min([_meminfo("MemTotal"), *(limit for limit, _ in container_limits())])
+
+
+def cores() -> int:
+    """Return the number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory_available() -> int:

@@ -66,7 +66,7 @@ def prove_side_by_side(prove: Prover, workers: int) -> Iterator[Certificate]:
 
 
 def _in_order(told: Iterator[_Told], release: Callable[[], None]) -> Iterator[Certificate]:
-    """Yield the certificates that are told, by scene. `release` is called when those of a scene are gone."""
+    """Yield the certificates in the order of their scenes, and call `release` after those of each scene."""
     kept: dict[str, dict[int, Any]] = {"scene": {}, "end": {}, "error": {}}
     at = 0
     while True:

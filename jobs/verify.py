@@ -20,11 +20,11 @@ from condvln.scene import Scene
 from condvln.sources.source import Source, hash_file
 from condvln.verify import FACTS, Certificate, Surfaces, VerifierRules, prove_export, prove_runs
 from condvln.verify.completeness import Fault, find_faults, row_counts
-from factory.machine import memory_available
+from factory.machine import cores, memory_available
 from jobs.pipeline import open_configured
 from jobs.proof_processes import prove_side_by_side
 from jobs.report import Report, Section
-from jobs.warm_up import PROVEN_WITH, cores, load_kernels
+from jobs.warm_up import PROVEN_WITH, load_kernels
 from jobs.workspace import published
 from schemas.config import Config
 from schemas.errors import InputError, MissingFileError, ProofError, StoreError
@@ -64,27 +64,39 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
     tally.faults += find_faults(export_dir)
     if not without_store:
         tally.faults += _faults_of_snapshot(config, export_dir)
-    written = _Certificates(export_dir)
+    written, rows = _Certificates(export_dir), row_counts(export_dir)
     try:
         with written:
-            for certificate in _certificates(config, export_dir, workers):
+            for certificate in _certificates(config, export_dir, workers, sum(rows.values())):
                 tally.add(certificate)
                 written.add(certificate)
     except InputError as error:
         if not tally.faults:
             raise
         tally.faults.append(Fault(_relative(error.where, export_dir), error.what))
-    if not sum(row_counts(export_dir).values()):
+    else:
+        tally.faults += _without_certificate(tally.episodes, rows)
+    if not any(rows.values()):
         tally.faults.append(Fault(MANIFEST, "the export holds no episodes, so nothing is proven"))
     document = {**tally.document(), "files": _hashes(export_dir)}
     written.summary(document)
     return tally.report(document | written.unwritten(), written)
 
 
-def _certificates(config: Config, export_dir: Path, workers: int | None) -> Iterator[Certificate]:
-    """Yield the certificates of an export, proven by so many processes; see :func:`verify_export`."""
+def _without_certificate(certificates: Mapping[str, int], rows: Mapping[str, int]) -> Iterator[Fault]:
+    """Yield a fault for each split with fewer certificates than rows, so that no lost scene passes as proven."""
+    for split, count in rows.items():
+        if certificates.get(split, 0) < count:
+            missing = count - certificates.get(split, 0)
+            yield Fault(f"{MANIFEST}/{split}.jsonl", f"has {count} rows, of which {missing} got no certificate")
+
+
+def _certificates(config: Config, export_dir: Path, workers: int | None, episodes: int) -> Iterator[Certificate]:
+    """Yield the certificates of an export of so many episodes, proven by so many processes; see
+    :func:`verify_export`.
+    """
     if workers is None:
-        worth = sum(row_counts(export_dir).values()) // EPISODES_A_WORKER
+        worth = episodes // EPISODES_A_WORKER
         free = memory_available()  # 0 where unknown
         workers = min(cores(), MOST_WORKERS, worth, free // WORKER_BYTES if free else MOST_WORKERS)
     if workers <= 1:

@@ -7,17 +7,17 @@ from __future__ import annotations
 import importlib
 import json
 import multiprocessing
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Final
 
+from factory.machine import cores
 from jobs.parent_watch import end_with_parent
 from jobs.report import Report, Section
 
-__all__ = ["BUILDER", "GENERATED_WITH", "KERNEL_MODULES", "PROVEN_WITH", "compile_kernels", "cores", "load_kernels"]
+__all__ = ["BUILDER", "GENERATED_WITH", "KERNEL_MODULES", "PROVEN_WITH", "compile_kernels", "load_kernels"]
 
 KERNEL_MODULES: Final = {
     "navmesh builder": "condvln.navigation.recast.builder",
@@ -80,11 +80,6 @@ compile_kernels(lambda line: print(line, flush=True), groups)
 """
 """Run by a Python that reads neither the environment nor the working folder, so that it imports what this process does.
 A process pool right here would import the main module of whoever calls this package once more."""
-
-
-def cores() -> int:
-    """Return the number of CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def load_kernels(note: Callable[[str], None], groups: Collection[str]) -> None:

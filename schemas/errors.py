@@ -145,7 +145,9 @@ class TransientIOError(CondVLNError):
 
 
 class ClusterError(CondVLNError):
-    """Ray died or can't be reached any more. What was committed stays, and the next run goes on from it."""
+    """Ray died or can't be reached any more, or a process of a proof was killed. What was committed stays, and the next
+    run goes on from it.
+    """
 
 
 class StageError(CondVLNError):

@@ -194,14 +194,13 @@ def test_processes_are_as_many_as_are_worth_it_and_have_room(
         return iter(())
 
     for name, found in {
-        "row_counts": lambda folder: {"train": episodes},
         "cores": lambda: cores,
         "memory_available": lambda: gib << 30,
         "prove_side_by_side": prove,
         "load_kernels": lambda note, groups: None,
     }.items():
         monkeypatch.setattr(f"jobs.verify.{name}", found)
-    next(jobs.verify._certificates(*made, None), None)
+    next(jobs.verify._certificates(*made, None, episodes), None)
     assert (started or [1]) == [expected]
 
 

@@ -8,14 +8,17 @@ import os
 import re
 import shutil
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import jobs.verify
 from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY
 from condvln.formats.regular_file import open_regular
+from condvln.verify import Certificate
 from jobs.export import export_snapshot_of
 from jobs.report import Report
 from jobs.verify import verify_export
@@ -52,6 +55,24 @@ def largest(folder: Path) -> str:
 
 def test_a_whole_export_is_proven(made: Config, folder: Path) -> None:
     assert faults(made, folder) == []
+
+
+def test_a_scene_that_nobody_proves_is_no_success(made: Config, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fault of ours, not of the export: whatever is proven then, it is not all."""
+    whole = verify_export(made, folder).document
+    real = jobs.verify.prove_export
+
+    def lossy(*arguments: Any) -> Iterator[Certificate]:
+        found = list(real(*arguments))
+        return (one for one in found if one.scene_id != found[0].scene_id)
+
+    monkeypatch.setattr("jobs.verify.prove_export", lossy)
+    report = verify_export(made, folder)
+    assert report.exit_code == 3
+    assert 0 < report.document["episodes"] < whole["episodes"]
+    missing = whole["episodes"] - report.document["episodes"]
+    told = [re.search(r"(\d+) got no certificate", fault["what"]) for fault in report.document["faults"]]
+    assert sum(int(one[1]) for one in told if one) == missing
 
 
 def test_an_empty_export_is_no_success(made: Config, folder: Path) -> None:

@@ -63,7 +63,7 @@ assert verify_export(config, folder / "export").exit_code == 0
 @pytest.mark.parametrize("family", ["procthor", "replicacad"])
 def test_a_run_needs_only_the_kernels_loaded_before_it(tmp_path: Path, family: str) -> None:
     """With a navmesh that is built, and with one that is shipped: generation, export with regressions, proof. In a
-    process of its own; each kernel that it needs and has not loaded is told.
+    process of its own, which prints each kernel that it needs but has not loaded.
     """
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(tmp_path), family], capture_output=True, text=True, check=True
