@@ -83,18 +83,18 @@ def bring_up_to_date(
     retry_quarantined: bool = False,
     renew_priors: bool = False,
     verify: bool = False,
-    warm: bool = True,
     console: Console,
 ) -> RunReport:
     """Process what changed in the sources, publish the snapshot, and keep the run's record and log in the store.
 
     verify : read every file again that what is published rests on, and make those again that differ from their hash
-    warm : compile what scenes need before any is read; not worth it where none is expected to be made
     """
-    # Compiled once before, so that not each worker compiles them.
-    if warm:
+
+    def load() -> None:
+        # Compiled once before, so that not each worker compiles them.
         builds = any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units)
         load_kernels(CompilationNote(console), GENERATED_WITH | {BUILDER} if builds else GENERATED_WITH)
+
     store = open_store(config)
     with (
         RunProgress(console) as bar,
@@ -115,6 +115,7 @@ def bring_up_to_date(
             memory=None if config.ray.memory_gib is None else int(config.ray.memory_gib * 2**30),
             verify=verify,
             revision=git_revision(),
+            before_work=load,
         )
         log.keep(done)
     return done

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
-import signal
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.connection import Connection, wait
@@ -108,7 +107,6 @@ def _all_told(readers: Mapping[Connection, SpawnProcess]) -> Iterator[_Told]:
 
 def _process(prove: Prover, claimed: Any, room: Any, writer: Connection) -> None:
     """Prove the scenes that this process claims; run in a process of its own."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this one ends it
     end_with_parent()
     seen, proving = 0, False
 

@@ -119,7 +119,6 @@ def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
         retry_quarantined=job.retry_quarantined,
         renew_priors=job.renew_priors,
         verify=job.verify,
-        warm=not found.empty,
         console=console,
     )
     report = run_report(done)
@@ -134,7 +133,7 @@ def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
         except CorruptShardError as error:
             # Bytes that changed while a file kept its size are met only where the file is read.
             console.print(f"{error} The damaged files are rebuilt now.", highlight=False, markup=False)
-            bring_up_to_date(config, units, inline=job.inline, verify=True, warm=False, console=console)
+            bring_up_to_date(config, units, inline=job.inline, verify=True, console=console)
             kept = not add_export(report, config, renewed=job.renew_priors)
         if kept:
             return report  # nothing is remembered, so that the next rebuild refuses again

@@ -100,7 +100,10 @@ def load_kernels(note: Callable[[str], None], groups: Collection[str]) -> None:
     if len(ordered) > 1 and can_be_kept(load_cached):
         path = [entry for entry in sys.path if isinstance(entry, str)]
         command = [sys.executable, "-I", "-c", CHILD, json.dumps([path, ordered])]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        # In a session of its own, so that Ctrl-C reaches this process alone, which kills that one without a word of it.
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+        ) as child:
             try:
                 for line in child.stdout or ():
                     note(line.rstrip("\n"))
@@ -126,6 +129,8 @@ def compile_kernels(note: Callable[[str], None], groups: Sequence[str] = tuple(K
                 found[tasks[task]] = task.result()
                 note(f"kernels {len(found)}/{len(groups)}: {tasks[task]}, {found[tasks[task]]} compiled")
         except BaseException:
+            for process in multiprocessing.active_children():  # this process starts no others
+                process.kill()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     rows: list[tuple[str | int, ...]] = [(group, found[group]) for group in groups]

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import psutil
 import pytest
+from rich.console import Console
 
-from jobs.warm_up import KERNEL_MODULES, compile_kernels
+from condvln.samples import make_samples
+from jobs.generate import run_generate
+from jobs.warm_up import GENERATED_WITH, KERNEL_MODULES, compile_kernels
+from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.program import CATEGORIES
 
 
 def test_every_group_that_is_registered_is_compiled(repository: Path) -> None:
@@ -122,6 +129,40 @@ def test_a_compiler_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None
     assert process.returncode == 0
     assert "compiling condvln." in said
     assert psutil.wait_procs(others, timeout=20)[1] == []
+
+
+@pytest.mark.parametrize("to", [os.kill, os.killpg], ids=["the process", "its group, as a terminal does"])
+def test_ctrl_c_while_kernels_compile_ends_all_processes(tmp_path: Path, to: Callable[[int, int], None]) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", LOADED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, start_new_session=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline() == "compiling 2 groups of kernels\n"
+        deadline = time.monotonic() + 60
+        while len(others := psutil.Process(process.pid).children(recursive=True)) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        to(process.pid, signal.SIGINT)
+        said = process.stderr.read()
+    assert process.returncode == -signal.SIGINT
+    assert said.count("Traceback") == 1, said  # this process's own; the command's is one line
+    assert psutil.wait_procs(others, timeout=20)[1] == []
+
+
+def test_kernels_are_loaded_only_before_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_samples(tmp_path / "data", family="replicacad", scenes=2, seed=3)
+    config = Config(
+        name="two", store=tmp_path / "store",
+        sources=(SourceConfig(family="replicacad", root=tmp_path / "data"),),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 1)),
+    )  # fmt: skip
+    asked: list[Collection[str]] = []
+    monkeypatch.setattr("jobs.generate.load_kernels", lambda note, groups: asked.append(groups))
+    assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
+    assert asked == [GENERATED_WITH]
+    assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
+    assert len(asked) == 1
 
 
 def test_without_a_folder_for_kernels_no_other_process_compiles_them(tmp_path: Path) -> None:
