@@ -1,7 +1,7 @@
 """Run all benchmarks, or those named, each in its own process: ``python -m benchmarks [NAME …]``.
 
-``ladder`` and ``evidence``, which take long, are run by name only. So is ``python -m benchmarks versus COMMIT``, which
-compares this tree with an earlier commit.
+``ladder``, ``evidence`` and ``workers``, which take long, are run by name only. So is
+``python -m benchmarks versus COMMIT``, which compares this tree with an earlier commit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-BY_NAME: Final = {"evidence", "ladder"}
+BY_NAME: Final = {"evidence", "ladder", "workers"}
 """Benchmarks that are not run with the others."""
 
 

@@ -137,7 +137,8 @@ def test_ctrl_c_while_kernels_compile_ends_all_processes(tmp_path: Path, to: Cal
         [sys.executable, "-c", LOADED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, start_new_session=True,
     ) as process:  # fmt: skip
-        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
         assert process.stdout.readline() == "compiling 2 groups of kernels\n"
         deadline = time.monotonic() + 60
         while len(others := psutil.Process(process.pid).children(recursive=True)) < 3:
