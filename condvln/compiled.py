@@ -32,7 +32,6 @@ __all__ = [
     "compilation_reported_to",
     "compiled",
     "compiled_apart",
-    "compiled_inside",
     "constant",
     "inlined",
     "load_cached",
@@ -82,15 +81,6 @@ def compiled_apart(function: Callable[P, R]) -> Callable[P, R]:
     needed, and for all kernels that call each other; the results are the same.
     """
     return _dispatcher(function, {**_OPTIONS, "no_cfunc_wrapper": False})
-
-
-def compiled_inside(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile ``function`` for other kernels alone, without the wrapper through which Python would call it.
-
-    Making wrappers takes a twentieth of all compiling. A call from Python would end the process: tests look through the
-    package for such calls.
-    """
-    return _dispatcher(function, {**_OPTIONS, "no_cpython_wrapper": True})
 
 
 def constant(value: C) -> C:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NO_POLYGON
@@ -22,7 +22,7 @@ __all__ = ["apart_objects", "distance_between", "nearest_point", "straight_dista
 Doubles = npt.NDArray[np.float64]
 
 
-@compiled_inside
+@compiled
 def straight_distance(at: Floats, one: int, other: int) -> float:
     """Return the horizontal distance in metres between two projected places, minus what two projections of one point
     may differ by: a lower bound of the length of a path.
@@ -32,7 +32,7 @@ def straight_distance(at: Floats, one: int, other: int) -> float:
     return math.sqrt(dx * dx + dz * dz) - SNAP_AT_MOST
 
 
-@compiled_inside
+@compiled
 def distance_between(
     mesh: QueryMesh,
     search: Search,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.episodes.kernels.distances import (
     distance_between,
     nearest_point,
@@ -135,7 +135,7 @@ def put_keys(keys: Indices, ways: Indices, new_keys: Indices, new_ways: Indices)
             new_keys[at], new_ways[at] = keys[i], ways[i]
 
 
-@compiled_inside
+@compiled
 def _known_way(keys: Indices, ways: Indices, key: int) -> int:
     """Return the way of a key, or ``UNKNOWN``."""
     at = _slot(keys, key)
@@ -156,7 +156,7 @@ def _from_start(mesh: QueryMesh, search: Search, places: Places, start: int, goa
     return float(length)
 
 
-@compiled_inside
+@compiled
 def _new_way(
     mesh: QueryMesh,
     search: Search,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, inlined, register_warm_up
+from condvln.compiled import compiled, inlined, register_warm_up
 
 __all__ = ["coverage_distances", "dtw", "dtw_of_costs", "fast_dtw"]
 
@@ -13,7 +13,7 @@ Points = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 
-@compiled_inside
+@compiled
 def _gap(first: Points, i: int, second: Points, j: int) -> float:
     dx = first[i, 0] - second[j, 0]
     dy = first[i, 1] - second[j, 1]
@@ -71,7 +71,7 @@ def coverage_distances(path: Points, reference: Points) -> Points:
     return nearest
 
 
-@compiled_inside
+@compiled
 def _halved(points: Points) -> Points:
     half = np.empty((points.shape[0] // 2, 3))
     for i in range(half.shape[0]):

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, inlined, register_warm_up
+from condvln.compiled import compiled, inlined, register_warm_up
 from condvln.instructions.kernels.stream import cumulative, uniform
 from condvln.uncounted import keep, uncounted
 
@@ -227,7 +227,7 @@ def _statements(room: int, start: int, tables: StatementTables, stream: Doubles,
     return int(tables.pool_of_form[form])
 
 
-@compiled_inside
+@compiled
 def draw_conditions(
     truths: Bools,
     rooms: Longs,

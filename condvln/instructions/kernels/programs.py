@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.instructions.kernels.conditions import CLAIM, NOTHING, Given, StatementTables, draw_conditions
 from condvln.instructions.kernels.stops import (
     FAILURES,
@@ -177,7 +177,7 @@ def program_space(
     )
 
 
-@compiled_inside
+@compiled
 def _say(room: int, label: int, said: Said) -> None:
     said.rooms[said.size[0]], said.labels[said.size[0]] = room, label
     said.size[0] += 1
@@ -337,7 +337,7 @@ def _presupposed(
     return Given(stops[:count], things[:besides], pairs[:related])
 
 
-@compiled_inside
+@compiled
 def _finish(
     wanted: WantedProgram,
     room_of: Longs,

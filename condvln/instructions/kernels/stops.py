@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, constant, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.instructions.kernels.stream import cumulative, index
 from condvln.uncounted import keep, uncounted
 
@@ -183,7 +183,7 @@ def _join(one: Bools, other: Bools, found: Bools) -> None:
         found[k] = one[k] | other[k]
 
 
-@compiled_inside
+@compiled
 def _without_label(allowed: Bools, wanted: int, label: Longs) -> None:
     """Remove the targets whose label is `wanted` from `allowed`."""
     for k in range(len(allowed)):
@@ -266,7 +266,7 @@ def targets_fit(allowed: Bools, free: Bools, n: int, waypoints: int, questions: 
     return fits(uncounted(allowed), uncounted(free), n, waypoints, uncounted(questions))
 
 
-@compiled_inside
+@compiled
 def _draw_label(
     allowed: Bools, sums: Doubles, labels: Longs, members: Longs, spans: Longs, stream: Doubles, left: Longs
 ) -> int:
@@ -289,7 +289,7 @@ def _draw_label(
     return label
 
 
-@compiled_inside
+@compiled
 def _draw_target(
     allowed: Bools, sums: Doubles, labels: Longs, members: Longs, spans: Longs, stream: Doubles, left: Longs
 ) -> int:
@@ -321,7 +321,7 @@ def _draw_target(
     return target
 
 
-@compiled_inside
+@compiled
 def _draw_clear(
     allowed: Bools, sums: Doubles, labels: Longs, by_label: ByLabel, some: Bools, stream: Doubles, left: Longs
 ) -> int:
@@ -569,7 +569,7 @@ def prepare_stops(wanted: WantedStops, tables: TargetTables, space: StopSpace) -
     return kept
 
 
-@compiled_inside
+@compiled
 def draw_stops(
     tries: int,
     wanted: WantedStops,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.geometry import HALF, ZERO, distance
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.tile import Floats, Indices
@@ -40,7 +40,7 @@ class Search(NamedTuple):
     """(2,): current round, size of the heap"""
 
 
-@compiled_inside
+@compiled
 def new_search(polygons: int) -> Search:
     """Return empty working memory."""
     return Search(
@@ -57,7 +57,7 @@ def new_search(polygons: int) -> Search:
     )
 
 
-@compiled_inside
+@compiled
 def bubble_up(heap: Indices, total: Floats, place: int, node: int) -> None:
     """Move ``node`` from ``place`` towards the root of the heap as long as its total is less than its parent's. The
     arrays are those of the ``Search``, here and below.
@@ -71,14 +71,14 @@ def bubble_up(heap: Indices, total: Floats, place: int, node: int) -> None:
     heap[place] = node
 
 
-@compiled_inside
+@compiled
 def push(heap: Indices, total: Floats, counters: Indices, node: int) -> None:
     """Put a node on the heap."""
     counters[1] += 1
     bubble_up(heap, total, counters[1] - 1, node)
 
 
-@compiled_inside
+@compiled
 def moved_up(heap: Indices, total: Floats, counters: Indices, node: int) -> None:
     """Restore the order of the heap after the total of ``node`` has decreased."""
     place = 0
@@ -109,7 +109,7 @@ def pop(heap: Indices, total: Floats, counters: Indices) -> int:
     return int(result)
 
 
-@compiled_inside
+@compiled
 def edge_to(neighbours: Indices, poly_size: Indices, poly: int, other: int) -> int:
     """Return the first edge of ``poly`` that leads to ``other``, -1 for none. The arrays are those of the
     ``QueryMesh``.
@@ -120,7 +120,7 @@ def edge_to(neighbours: Indices, poly_size: Indices, poly: int, other: int) -> i
     return edge if edge < size else -1
 
 
-@compiled_inside
+@compiled
 def place_at_edge(
     verts: Floats, poly_verts: Indices, poly_size: Indices, position: Floats, poly: int, edge: int, other: int
 ) -> None:

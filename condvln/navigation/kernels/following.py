@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, constant, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.geometry import ONE, ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -71,7 +71,7 @@ class Limits(NamedTuple):
     """if no step leads nearer"""
 
 
-@compiled_inside
+@compiled
 def _remaining(mesh: QueryMesh, search: Search, place: Place, goal: Place, points: Floats) -> tuple[np.float32, int]:
     """Return the geodesic distance from a place to the goal, and the number of corners of the path. The corners are
     written to ``points``.
@@ -108,7 +108,7 @@ def _candidate(number: int, off: float) -> int:
     return int(nearest + (side * away if number % 2 == 1 else -side * away))
 
 
-@compiled_inside
+@compiled
 def _try_heading(mesh: QueryMesh, gait: Gait, place: Place, heading: int, memory: StepMemory, reached: Place) -> bool:
     """Step from a place along a heading, and write the end of the step to ``reached``. Return whether no wall was
     hit.
@@ -335,7 +335,7 @@ class _WalkMemory(NamedTuple):
     """(2, MAX_POINTS, 3)"""
 
 
-@compiled_inside
+@compiled
 def _new_walk_memory(polygons: int) -> _WalkMemory:
     return _WalkMemory(
         new_search(polygons),

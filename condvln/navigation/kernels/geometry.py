@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.tile import Floats, Indices
 
 ZERO = np.float32(0.0)
@@ -15,7 +15,7 @@ GREATEST = np.float32(np.finfo(np.float32).max)
 DEGENERATE_TRIANGLE = np.float32(1e-6)
 
 
-@compiled_inside
+@compiled
 def point_to_segment(
     x: np.float32, z: np.float32, px: np.float32, pz: np.float32, qx: np.float32, qz: np.float32
 ) -> tuple[np.float32, np.float32]:
@@ -39,7 +39,7 @@ def point_to_segment(
     return dx * dx + dz * dz, t
 
 
-@compiled_inside
+@compiled
 def triangle_area(
     ax: np.float32, az: np.float32, bx: np.float32, bz: np.float32, cx: np.float32, cz: np.float32
 ) -> np.float32:
@@ -64,7 +64,7 @@ def distance(
     return np.float32(np.sqrt(dx * dx + dy * dy + dz * dz))
 
 
-@compiled_inside
+@compiled
 def inside_polygon(
     verts: Floats, poly_verts: Indices, poly_size: Indices, poly: int, x: np.float32, z: np.float32
 ) -> bool:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import (
     CLOSED,
     OPEN,
@@ -60,7 +60,7 @@ class StepMemory(NamedTuple):
     """(3,) where the step leads to"""
 
 
-@compiled_inside
+@compiled
 def new_step_memory() -> StepMemory:
     """Return empty working memory."""
     return StepMemory(
@@ -73,13 +73,13 @@ def new_step_memory() -> StepMemory:
     )
 
 
-@compiled_inside
+@compiled
 def new_place() -> Place:
     """Return a place whose numbers are not set."""
     return Place(np.empty(3, np.float32), np.empty(3, np.float32), np.empty(1, np.int64))
 
 
-@compiled_inside
+@compiled
 def put(mesh: QueryMesh, point: Floats, place: Place) -> None:
     """Set a place to a point (3,)."""
     poly, x, y, z = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
@@ -88,7 +88,7 @@ def put(mesh: QueryMesh, point: Floats, place: Place) -> None:
         place.asked[axis] = point[axis]
 
 
-@compiled_inside
+@compiled
 def copy_place(source: Place, target: Place) -> None:
     """Set a place to another one."""
     for axis in range(3):
@@ -97,7 +97,7 @@ def copy_place(source: Place, target: Place) -> None:
     target.poly[0] = source.poly[0]
 
 
-@compiled_inside
+@compiled
 def _passable(neighbours: Indices, walkable: npt.NDArray[np.uint8], poly: int, edge: int) -> int:
     """Return the walkable polygon across an edge, or -1."""
     other = int(neighbours[poly, edge])  # -1 for a wall

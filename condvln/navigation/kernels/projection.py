@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside, constant, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.kernels.geometry import (
     GREATEST,
     ONE,
@@ -49,7 +49,7 @@ BOUNDARY_ONLY, ALL_EDGES = constant(True), constant(False)
 OVER_ONLY, AROUND = constant(True), constant(False)
 
 
-@compiled_inside
+@compiled
 def height_on_polygon(
     verts: Floats,
     poly_verts: Indices,
@@ -78,7 +78,7 @@ def height_on_polygon(
     return covered, height
 
 
-@compiled_inside
+@compiled
 def nearest_on_detail_edges(
     tri_start: Indices,
     tri_points: Floats,
@@ -115,7 +115,7 @@ def nearest_on_detail_edges(
     return a[0] + (b[0] - a[0]) * along, a[1] + (b[1] - a[1]) * along, a[2] + (b[2] - a[2]) * along
 
 
-@compiled_inside
+@compiled
 def _clamped(value: np.float32, low: np.float32, high: np.float32) -> np.float32:
     if value < low:
         return low
@@ -129,7 +129,7 @@ def _cell(value: np.float32) -> int:
     return int(value) & 0xFFFF
 
 
-@compiled_inside
+@compiled
 def nearest_polygon(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int
 ) -> tuple[int, np.float32, np.float32, np.float32]:
@@ -159,7 +159,7 @@ def nearest_polygon(
     return found
 
 
-@compiled_inside
+@compiled
 def _nearest_within(
     mesh: QueryMesh, x: np.float32, y: np.float32, z: np.float32, island: int, reach: np.float32, over_only: bool
 ) -> tuple[int, np.float32, np.float32, np.float32]:

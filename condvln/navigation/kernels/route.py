@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside
+from condvln.compiled import compiled
 from condvln.navigation.kernels.astar import Search, find_corridor, new_search
 from condvln.navigation.kernels.geometry import ZERO
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -19,7 +19,7 @@ INFINITE = np.float32(np.inf)
 FUZZY = np.float32(1e-5)
 
 
-@compiled_inside
+@compiled
 def _fuzzy_equal(a: np.float32, b: np.float32) -> bool:
     """Return whether two numbers are equal up to rounding errors: Magnum's ``TypeTraits<Float>::equals``."""
     if a == b:
@@ -30,7 +30,7 @@ def _fuzzy_equal(a: np.float32, b: np.float32) -> bool:
     return bool(difference / (abs(a) + abs(b)) < FUZZY)
 
 
-@compiled_inside
+@compiled
 def route_between(
     mesh: QueryMesh,
     search: Search,

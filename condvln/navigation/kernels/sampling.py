@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside
+from condvln.compiled import compiled
 from condvln.navigation.kernels.geometry import ONE, ZERO, triangle_area
 from condvln.navigation.kernels.mesh import QueryMesh
 from condvln.navigation.kernels.projection import NAN, height_on_polygon
@@ -26,7 +26,7 @@ def ground_areas(mesh: QueryMesh) -> Floats:
     return weights
 
 
-@compiled_inside
+@compiled
 def _fan_area(mesh: QueryMesh, poly: int, corner: int) -> np.float32:
     a = mesh.verts[mesh.poly_verts[poly, 0]]
     b = mesh.verts[mesh.poly_verts[poly, corner - 1]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.kernels.astar import edge_to
 from condvln.navigation.kernels.geometry import ZERO, clamp_to_polygon, point_to_segment, triangle_area
 from condvln.navigation.kernels.mesh import QueryMesh
@@ -16,7 +16,7 @@ SAME_POINT = np.float32(1.0 / 16384.0) * np.float32(1.0 / 16384.0)
 AT_PORTAL = np.float32(0.001) * np.float32(0.001)
 
 
-@compiled_inside
+@compiled
 def _same_point(ax: np.float32, ay: np.float32, az: np.float32, bx: np.float32, by: np.float32, bz: np.float32) -> bool:
     """Return whether two points are less than 1/16384 m apart."""
     dx = bx - ax

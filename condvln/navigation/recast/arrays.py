@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside
+from condvln.compiled import compiled
 
 __all__ = ["Array", "Ground", "Point", "ground", "grown", "grown_rows", "point"]
 
@@ -28,7 +28,7 @@ def grown(array: Array, needed: int) -> Array:
     return larger
 
 
-@compiled_inside
+@compiled
 def grown_rows(array: Array, needed: int) -> Array:
     """Return ``array`` itself if it has room for ``needed`` rows, else a copy of at least twice as many rows."""
     if needed <= len(array):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground, grown
 from condvln.navigation.recast.compact import CompactHeightfield
 from condvln.navigation.recast.planar import coincide
@@ -156,7 +156,7 @@ def _squared_distance(point: Ground, a: Ground, b: Ground) -> np.float32:
     return dx * dx + dz * dz
 
 
-@compiled_inside
+@compiled
 def _insert_after(kept: Array, n: int, i: int, value: int) -> None:
     for j in range(n, i + 1, -1):
         kept[j] = kept[j - 1]
@@ -191,7 +191,7 @@ def _corner_stones(raw: Array, n: int, kept: Array) -> int:
     return m
 
 
-@compiled_inside
+@compiled
 def _forward(a: Ground, b: Ground) -> bool:
     """Return whether b comes after a, ordered by x and then by z. Edges are processed in this order, so that both sides
     of an edge give the same result.

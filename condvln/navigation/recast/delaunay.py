@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled_inside, constant, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]
@@ -27,13 +27,13 @@ CIRCLE_EPSILON = np.float32(1e-6)
 CIRCLE_TOLERANCE = np.float32(0.001)
 
 
-@compiled_inside
+@compiled
 def cross_2d(a: Ground, b: Ground, c: Ground) -> np.float32:
     """Return twice the signed area of a, b, c in the ground plane."""
     return np.float32((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-@compiled_inside
+@compiled
 def distance_2d(a: Ground, b: Ground) -> np.float32:
     """Return the distance in the ground plane."""
     dx = b[0] - a[0]
@@ -69,7 +69,7 @@ def delaunay(points: Array, n: int, hull: Array, n_hull: int, edges: Array, tria
     return _collect(edges, n_edges, faces, triangles)
 
 
-@compiled_inside
+@compiled
 def _find_edge(edges: Array, n_edges: int, s: int, t: int) -> int:
     for e in range(n_edges):
         if (edges[e, 0] == s and edges[e, 1] == t) or (edges[e, 0] == t and edges[e, 1] == s):
@@ -77,7 +77,7 @@ def _find_edge(edges: Array, n_edges: int, s: int, t: int) -> int:
     return -1
 
 
-@compiled_inside
+@compiled
 def _add_edge(edges: Array, n_edges: int, most: int, s: int, t: int, left: int, right: int) -> int:
     if n_edges >= most or _find_edge(edges, n_edges, s, t) >= 0:
         return n_edges
@@ -85,7 +85,7 @@ def _add_edge(edges: Array, n_edges: int, most: int, s: int, t: int, left: int, 
     return n_edges + 1
 
 
-@compiled_inside
+@compiled
 def _set_left(edges: Array, e: int, s: int, t: int, face: int) -> None:
     """Set the face of edge ``e`` that is on the left when going from s to t, unless this face is already set."""
     if edges[e, 0] == s and edges[e, 1] == t and edges[e, 2] == UNDECIDED:
@@ -94,7 +94,7 @@ def _set_left(edges: Array, e: int, s: int, t: int, face: int) -> None:
         edges[e, 3] = face
 
 
-@compiled_inside
+@compiled
 def _attach(edges: Array, n_edges: int, most: int, s: int, t: int, face: int) -> int:
     """Set the face to the left of edge s-t and return the number of edges. The edge is added if it does not exist."""
     e = _find_edge(edges, n_edges, s, t)
@@ -134,7 +134,7 @@ def _crosses(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
     return False
 
 
-@compiled_inside
+@compiled
 def _crosses_any(points: Array, edges: Array, n_edges: int, s: int, t: int) -> bool:
     for e in range(n_edges):
         p, q = edges[e, 0], edges[e, 1]
@@ -171,7 +171,7 @@ def _third_point(points: Array, n: int, edges: Array, n_edges: int, s: int, t: i
     return best
 
 
-@compiled_inside
+@compiled
 def _complete(points: Array, n: int, edges: Array, n_edges: int, most: int, faces: int, e: int) -> tuple[int, int]:
     """Put a new triangle on an open side of edge e, or mark this side as the hull if no point fits. Return the numbers
     of edges and of triangles.

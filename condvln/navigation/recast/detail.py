@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground, grown_rows
 from condvln.navigation.recast.compact import CompactHeightfield
 from condvln.navigation.recast.config import RecastConfig
@@ -136,7 +136,7 @@ def _fan(points: Array, hull: Array, n: int, n_corners: int, triangles: Array) -
     return count
 
 
-@compiled_inside
+@compiled
 def _on_border(a: Ground, b: Ground, polygon: Array, n: int) -> int:
     """Return 1 if both points are on the same edge of the polygon, seen from above; else 0."""
     j = n - 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, constant
+from condvln.compiled import compiled, constant
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.compact import CompactHeightfield
 
@@ -72,7 +72,7 @@ def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
     return distance
 
 
-@compiled_inside
+@compiled
 def _relax(neighbour: Array, distance: Array, i: int, straight: int, turn: int) -> None:
     j = neighbour[i, straight]
     if j >= 0:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array
 
 __all__ = ["UNSET", "fill_patch", "sample_height"]
@@ -171,7 +171,7 @@ def _seed(
     return i
 
 
-@compiled_inside
+@compiled
 def sample_height(
     x: np.float32,
     y: np.float32,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, Point, ground
 
 __all__ = ["FAR", "depth_inside", "height_error", "least_extent", "segment_distance", "segment_distance_2d"]
@@ -14,7 +14,7 @@ FAR = np.float32(np.finfo(np.float32).max)
 INSIDE_EPSILON = np.float32(1e-4)
 
 
-@compiled_inside
+@compiled
 def segment_distance_2d(p: Ground, a: Ground, b: Ground) -> np.float32:
     """Return the squared distance from a point to a segment in the ground plane."""
     abx, abz = b[0] - a[0], b[1] - a[1]

@@ -5,7 +5,7 @@ Points are (x, z). "Left" is as seen on a map with z pointing down.
 
 from __future__ import annotations
 
-from condvln.compiled import compiled, compiled_inside
+from condvln.compiled import compiled
 from condvln.navigation.recast.arrays import Ground
 
 __all__ = ["coincide", "in_cone", "segments_cross", "segments_touch", "turn"]
@@ -19,13 +19,13 @@ def turn(a: Ground, b: Ground, c: Ground) -> int:
     return int(abx * acz - acx * abz)
 
 
-@compiled_inside
+@compiled
 def coincide(a: Ground, b: Ground) -> bool:
     """Return whether two points have the same x and z."""
     return bool(a[0] == b[0] and a[1] == b[1])
 
 
-@compiled_inside
+@compiled
 def segments_cross(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
     """Return whether segments ab and cd share a point that is inside both."""
     abc, abd, cda, cdb = turn(a, b, c), turn(a, b, d), turn(c, d, a), turn(c, d, b)
@@ -34,7 +34,7 @@ def segments_cross(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
     return (abc < 0) != (abd < 0) and (cda < 0) != (cdb < 0)
 
 
-@compiled_inside
+@compiled
 def _on_segment(a: Ground, b: Ground, c: Ground) -> bool:
     """Return whether c lies on the closed segment ab."""
     if turn(a, b, c) != 0:
@@ -43,7 +43,7 @@ def _on_segment(a: Ground, b: Ground, c: Ground) -> bool:
     return bool((a[k] <= c[k] and c[k] <= b[k]) or (a[k] >= c[k] and c[k] >= b[k]))
 
 
-@compiled_inside
+@compiled
 def segments_touch(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
     """Return whether segments ab and cd share any point."""
     return (
@@ -55,7 +55,7 @@ def segments_touch(a: Ground, b: Ground, c: Ground, d: Ground) -> bool:
     )
 
 
-@compiled_inside
+@compiled
 def in_cone(before: Ground, corner: Ground, after: Ground, point: Ground, loose: bool) -> bool:
     """Return whether the segment from a polygon's ``corner`` to ``point`` starts inside the polygon.
 

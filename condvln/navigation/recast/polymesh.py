@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, ground
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.planar import turn
@@ -155,7 +155,7 @@ def _polygons(
     return vertices[:n_vertices].copy(), polygons[:n_polygons].copy(), poly_region[:n_polygons], poly_area[:n_polygons]
 
 
-@compiled_inside
+@compiled
 def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
     """Return the index in p and the index in q of an edge that both polygons share; (-1, -1) if there is none. If they
     share several edges, the last of these in p counts.
@@ -173,7 +173,7 @@ def _shared_edge(p: Array, n: int, q: Array, m: int) -> tuple[int, int]:
     return at, other
 
 
-@compiled_inside
+@compiled
 def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) -> int:
     """Return the squared length of the edge that merging p and q would remove. The result is -1 if they share no edge,
     or if the merged polygon would be too large or not convex.
@@ -193,7 +193,7 @@ def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) 
     return int(dx * dx + dz * dz)
 
 
-@compiled_inside
+@compiled
 def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
     """Return the index of the polygon after j that has the largest merge gain with j (on ties the first such polygon),
     and this gain; (-1, 0) if j can be merged with none of them.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, grown
 from condvln.navigation.recast.compact import CompactHeightfield
 
@@ -144,7 +144,7 @@ def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, ou
     return _without_repeats(out, 0, n)
 
 
-@compiled_inside
+@compiled
 def _without_repeats(ring: Array, begin: int, length: int) -> int:
     """Remove from the ring ``ring[begin:begin + length]`` each item equal to the one after it; return the new
     length.
@@ -165,7 +165,7 @@ def _holds(items: Array, begin: int, length: int, value: int) -> bool:
     return _position(items, begin, length, value) >= 0
 
 
-@compiled_inside
+@compiled
 def _may_merge(
     a: int,
     b: int,
@@ -297,7 +297,7 @@ def _merge(
     return _renumbered(ids)
 
 
-@compiled_inside
+@compiled
 def _position(items: Array, begin: int, length: int, value: int) -> int:
     for k in range(length):
         if items[begin + k] == value:
@@ -305,7 +305,7 @@ def _position(items: Array, begin: int, length: int, value: int) -> int:
     return -1
 
 
-@compiled_inside
+@compiled
 def _rename(items: Array, begin: int, length: int, old: int, new: int) -> bool:
     changed = False
     for k in range(begin, begin + length):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Point, grown_rows, point
 from condvln.navigation.recast.heights import sample_height
 from condvln.navigation.recast.metric import FAR, depth_inside, height_error, segment_distance
@@ -136,7 +136,7 @@ def inner_samples(
     return samples, count
 
 
-@compiled_inside
+@compiled
 def _jitter(i: int, factor: int) -> np.float32:
     """Return a deterministic pseudo-random number between -1 and 1."""
     return np.float32((i * factor) & 0xFFFF) / np.float32(65535.0) * np.float32(2.0) - np.float32(1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from condvln.compiled import compiled_inside, inlined
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.arrays import Array, Ground, ground
 from condvln.navigation.recast.planar import coincide, in_cone, segments_cross, segments_touch
 
@@ -50,7 +50,7 @@ def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> i
     return count + 1
 
 
-@compiled_inside
+@compiled
 def _is_diagonal(i: int, j: int, n: int, points: Array, corner: Array, loose: bool) -> bool:
     """Return whether the segment between corners i and j is inside the polygon. With ``loose`` the segment may touch
     the border.
@@ -70,7 +70,7 @@ def _is_diagonal(i: int, j: int, n: int, points: Array, corner: Array, loose: bo
     return True
 
 
-@compiled_inside
+@compiled
 def _squared_length(a: Ground, b: Ground) -> int:
     dx = b[0] - a[0]
     dz = b[1] - a[1]

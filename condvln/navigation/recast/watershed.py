@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, compiled_inside, constant, inlined
+from condvln.compiled import compiled, constant, inlined
 from condvln.navigation.recast.arrays import Array
 from condvln.navigation.recast.compact import CompactHeightfield
 from schemas.errors import FormatError
@@ -131,7 +131,7 @@ def _sort_by_level(level: int, area: Array, region: Array, distance: Array, span
                 place[k] += 1
 
 
-@compiled_inside
+@compiled
 def _expand(
     steps: int,
     level: int,

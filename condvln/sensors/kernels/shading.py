@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, compiled_inside
+from condvln.compiled import compiled
 
 __all__ = ["CLAMP", "resolve_depth", "resolve_owner", "shade"]
 
@@ -41,7 +41,7 @@ def resolve_owner(face: Ints, owner: Ints, instance: Ints) -> None:
             instance[y, x] = owner[f] + 1 if f >= 0 else 0
 
 
-@compiled_inside
+@compiled
 def _wrapped(index: int, size: int, mode: int) -> int:
     """Return `index` along one side of a texture as a valid index, 0 to `size` − 1: an index beyond the border is
     mapped back by the wrap mode.

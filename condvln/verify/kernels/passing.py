@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.compiled import compiled, compiled_inside, register_warm_up
+from condvln.compiled import compiled, register_warm_up
 
 __all__ = ["passed_and_left"]
 
@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-@compiled_inside
+@compiled
 def _metres(one: F64, other: F64) -> float:
     x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
     return math.sqrt(x * x + y * y + z * z)
