@@ -2,6 +2,17 @@
 
 from condvln.bias.foreign_gate import ForeignReport, judge_files
 from condvln.bias.gate import BiasGate, judge, judge_export
+from condvln.bias.learners import usual_truth
 from condvln.bias.report import BiasReport, Finding, Uniformity
 
-__all__ = ["BiasGate", "BiasReport", "Finding", "ForeignReport", "Uniformity", "judge", "judge_export", "judge_files"]
+__all__ = [
+    "BiasGate",
+    "BiasReport",
+    "Finding",
+    "ForeignReport",
+    "Uniformity",
+    "judge",
+    "judge_export",
+    "judge_files",
+    "usual_truth",
+]

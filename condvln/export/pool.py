@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ __all__ = [
     "FIT",
     "INSTRUCTION_COLUMNS",
     "POOL_COLUMNS",
+    "Codes",
     "ExportPool",
     "Hashes",
     "PoolBuilder",
@@ -70,8 +71,8 @@ class ExportPool:
     ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``,
     ``unit`` and ``start`` (a position in a scene) are hashes.
     ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition (label, room type, with or without a relation)
-    in the instruction of episode ``i``, ``truths`` whether each is true. ``reasons[unfit[i]]`` says why an episode can
-    be in no split.
+    in the instruction of episode ``i``, ``statements`` what each says in full (0 if that was not asked for), ``truths``
+    whether it is true. ``reasons[unfit[i]]`` says why an episode can be in no split.
     """
 
     sources: tuple[str, ...]
@@ -93,6 +94,7 @@ class ExportPool:
     unfit: Codes
     offsets: Codes
     conditions: Codes
+    statements: Codes
     truths: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -122,15 +124,18 @@ class PoolBuilder:
     """Builds a pool from batches of the instructions and episodes tables, added source by source.
 
     max_tokens : texts with more tokens are excluded; None or 0 means no limit
+    statements : whether the pool has the conditions' statements
     """
 
-    def __init__(self, max_tokens: int | None = None) -> None:
+    def __init__(self, max_tokens: int | None = None, statements: bool = False) -> None:
         self._max_tokens = max_tokens
+        self._with_statements = statements
         self._sources, self._scenes, self._strata, self._kinds = _Names(), _Names(), _Names(), _Names()
+        self._statements = _Names()
         self._reasons = _Names({"": FIT})
         self._columns: dict[str, list[npt.NDArray[Any]]] = {}
         self._ids: list[tuple[pa.Array, pa.Array]] = []
-        self._asked: list[tuple[Hashes, Codes, npt.NDArray[np.int32], npt.NDArray[np.bool_]]] = []
+        self._asked: list[_Asked] = []
 
     def add_instructions(self, source: str, batches: Iterable[pa.RecordBatch]) -> None:
         """Add the conditions of the instructions of ``source`` (columns :data:`INSTRUCTION_COLUMNS`)."""
@@ -142,7 +147,11 @@ class PoolBuilder:
             kinds = self._kinds.all(pc.binary_join_element_wise(asked.field("label"), room, relation, "\t"))
             truths = asked.field("truth").to_numpy(zero_copy_only=False).astype(bool)
             names = hashes_of((source, name) for name in batch.column("instruction_id").to_pylist())
-            self._asked.append((names, pc.list_value_length(listed).to_numpy().astype(np.int64), kinds, truths))
+            counts = pc.list_value_length(listed).to_numpy().astype(np.int64)
+            said = np.zeros(len(kinds), dtype=np.int32)
+            if self._with_statements:
+                said = self._statements.all(_statements(source, asked, room))
+            self._asked.append(_Asked(names, counts, kinds, said, truths))
 
     def add_episodes(self, source: str, batch: pa.RecordBatch, barred: Mapping[str, str] | None = None) -> None:
         """Add episodes of ``source`` (columns :data:`POOL_COLUMNS`). ``barred`` has the excluded scenes by id, each
@@ -202,7 +211,7 @@ class PoolBuilder:
         again = np.ones(len(fit), dtype=bool)
         again[np.unique(columns.pop("text")[fit], return_index=True)[1]] = False
         columns["unfit"][fit[again]] = self._reasons(_REPEAT)
-        offsets, conditions, truths = self._conditions(columns["instruction"])
+        offsets, conditions, statements, truths = self._conditions(columns["instruction"])
 
         def codes(name: str) -> Codes:
             return columns[name].astype(np.int64)
@@ -216,6 +225,7 @@ class PoolBuilder:
             grouped=columns["grouped"],
             offsets=offsets,
             conditions=conditions,
+            statements=statements,
             truths=truths,
             episode=columns["episode"],
             instruction=columns["instruction"],
@@ -248,24 +258,53 @@ class PoolBuilder:
             return []
         return colliding(numbers.tolist(), [name for _, hashes in self._ids for name in hashes.to_pylist()])
 
-    def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, npt.NDArray[np.bool_]]:
-        """Return the conditions of each episode's instruction as ``offsets``, ``conditions`` and ``truths`` of
-        `ExportPool`; an unknown instruction has no conditions.
+    def _conditions(self, instructions: Hashes) -> tuple[Codes, Codes, Codes, npt.NDArray[np.bool_]]:
+        """Return the conditions of each episode's instruction as ``offsets``, ``conditions``, ``statements`` and
+        ``truths`` of `ExportPool`; an unknown instruction has no conditions.
         """
-        names = _joined([part[0] for part in self._asked], np.uint64)
+        names = _joined([part.names for part in self._asked], np.uint64)
         if not len(names):
             nothing = np.zeros(0, dtype=np.int64)
-            return np.zeros(len(instructions) + 1, dtype=np.int64), nothing, nothing.astype(bool)
-        counts = _joined([part[1] for part in self._asked], np.int64)
-        kinds = _joined([part[2] for part in self._asked], np.int32)
-        truths = _joined([part[3] for part in self._asked], bool)
+            return np.zeros(len(instructions) + 1, dtype=np.int64), nothing, nothing, nothing.astype(bool)
+        counts = _joined([part.counts for part in self._asked], np.int64)
+        kinds = _joined([part.kinds for part in self._asked], np.int32)
+        said = _joined([part.statements for part in self._asked], np.int32)
+        truths = _joined([part.truths for part in self._asked], bool)
         begins = np.concatenate(([0], np.cumsum(counts)))
         order = np.argsort(names, kind="stable")
         at = order[np.searchsorted(names, instructions, sorter=order).clip(max=len(names) - 1)]
         mine = np.where(names[at] == instructions, counts[at], 0)
         offsets = np.concatenate(([0], np.cumsum(mine))).astype(np.int64)
         places = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - begins[at], mine)
-        return offsets, kinds[places].astype(np.int64), truths[places]
+        return offsets, kinds[places].astype(np.int64), said[places].astype(np.int64), truths[places]
+
+
+class _Asked(NamedTuple):
+    """Instructions of a batch: the hash of each name and its number of conditions; kind, statement and truth of each
+    condition.
+    """
+
+    names: Hashes
+    counts: Codes
+    kinds: npt.NDArray[np.int32]
+    statements: npt.NDArray[np.int32]
+    truths: npt.NDArray[np.bool_]
+
+
+def _statements(source: str, asked: pa.StructArray, room: pa.Array) -> pa.Array:
+    """Return what each condition says in full: source, label, room type, predicate, labels of the anchors, and whether
+    it names its object with a definite article.
+    """
+    anchors = asked.field("qualifier").field("anchors")
+    labels = pa.ListArray.from_arrays(anchors.offsets, anchors.values.field("label"))
+    words = (
+        asked.field("label"),
+        room,
+        asked.field("qualifier").field("predicate"),
+        pc.binary_join(labels, "\t"),
+        pc.if_else(asked.field("definite"), "the", "a"),
+    )
+    return pc.binary_join_element_wise(source, *words, "\n", null_handling="replace", null_replacement="")
 
 
 _NUMBERS: Final = ("gold_leaf", "n_leaves", "ground_truth_steps", "max_steps")

@@ -2,7 +2,8 @@
 
 The selection keeps three balances, so that only the scene determines the gold leaf: within each split, source and
 category every gold leaf is equally frequent; the axes are as balanced as the pool allows; and conditions on one label
-in one room type are as often true as false, as far as the pool allows. Shortfalls are counted.
+in one room type are as often true as false, as far as the pool allows. Shortfalls are counted. If the configuration
+asks for it, episodes are left out first until statements are even (``condvln.export.evening``).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from condvln.export.evening import evened
 from condvln.export.pool import FIT, ExportPool
 from condvln.export.splits import GROUPS, SPLITS, Group, Split, fractions, scene_group
 from schemas.config import SplitsConfig
@@ -32,6 +34,7 @@ LOOKAHEAD: Final = 64
 """Number of candidates compared per pick: more give more balanced truths, fewer are faster."""
 
 _HALVED: Final = "its counterfactual group is not whole"
+_UNEVEN: Final = "its statements are asked more often than their opposites"
 _NO_ROOM: Final = "its counterfactual group does not fit the balance"
 
 Terms = list[tuple[int, int]]
@@ -79,6 +82,11 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
     """
     selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
     placed = _place(pool, config, selection.left_out)
+    if config.statements == "even":
+        rows = np.flatnonzero(placed != OUT)
+        uneven = rows[~evened(pool, rows, config.seed)]
+        placed[uneven] = OUT
+        selection.left_out[_UNEVEN] += len(uneven)
     order = _seeded_order(pool, config.seed)
     for split_code, split in enumerate(SPLITS):
         members = order[placed[order] == split_code]

@@ -28,7 +28,7 @@ from condvln.export.splits import SPLITS, Split
 from condvln.export.staging import staged
 from condvln.export.tables import BATCH_ROWS, JoinedScene, SnapshotTables, instructions_by_scene, joined_by_scene
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
-from condvln.export.variants import ORACLE_COLUMNS, OracleText, kept_texts, oracle_text_of
+from condvln.export.variants import ORACLE_COLUMNS, LinearTexts, OracleText, oracle_text_of
 from condvln.export.vlnce import SCENE_PATTERNS
 from condvln.export.writer import ExportWriter, Layout
 from condvln.formats.streams import atomic_stream
@@ -137,9 +137,11 @@ def _write_export(
     report.left_out = dict(sorted(selection.left_out.items()))
     report.empty_splits = {str(split): why for split, why in selection.empty.items()}
     report.truth_imbalance = selection.truth_imbalance
-    oracle_texts = kept_texts(oracle_texts) if callable(oracle_texts) else oracle_texts
+    kept = LinearTexts(oracle_texts) if callable(oracle_texts) else None
     rows = _JoinedRows(tables, splits_of)
-    vocabulary = config.vocabulary or Vocabulary.of(_texts(rows, splits_of, oracle_texts))
+    texts = _texts(rows, splits_of, oracle_texts if kept is None else kept.first)
+    vocabulary = config.vocabulary or Vocabulary.of(texts)
+    oracle_texts = oracle_texts if kept is None else kept.again
     report.vocabulary = len(vocabulary.words)
     report.episodes = dict.fromkeys(SPLITS, 0)
     report.scenes = {split: [] for split in SPLITS}
@@ -293,7 +295,7 @@ class _JoinedRows:
 def _choose(
     tables: SnapshotTables, config: ExportConfig, scenes: SceneTable
 ) -> tuple[Selection, SplitCodes, Generated]:
-    builder = PoolBuilder(config.splits.max_tokens)
+    builder = PoolBuilder(config.splits.max_tokens, statements=config.splits.statements == "even")
     counts: dict[str, int] = {}
     for source in tables.sources:
         builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))

@@ -8,8 +8,12 @@ same episode with the gold branch as a plain instruction.
 
 from __future__ import annotations
 
+import zlib
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final
+
+import orjson
 
 from condvln.export.rows import Row
 from condvln.export.vlnce import encode, gold
@@ -17,9 +21,9 @@ from condvln.export.vlnce import encode, gold
 __all__ = [
     "ORACLE_COLUMNS",
     "RXR_LANGUAGES",
+    "LinearTexts",
     "OracleText",
     "ansr_bytes",
-    "kept_texts",
     "oracle_episode",
     "oracle_text_of",
     "rxr_instruction",
@@ -62,9 +66,6 @@ OracleText = Mapping[int, str] | Callable[[Row, Row], str]
 the whole instructions row.
 """
 
-TEXTS_KEPT: Final = 1 << 16
-"""Number of linear texts that are kept from the pass that collects words for the one that writes: some 30 MB."""
-
 ORACLE_COLUMNS: Final = (
     "scene_id",
     "episode_id",
@@ -76,20 +77,51 @@ ORACLE_COLUMNS: Final = (
 )
 
 
-def kept_texts(texts: Callable[[Row, Row], str]) -> Callable[[Row, Row], str]:
-    """Return a function that gives the same texts, and makes each of the first `TEXTS_KEPT` once for two calls."""
-    kept: dict[tuple[str, int, str], str] = {}
+class LinearTexts:
+    """Linear texts for two passes over the same scenes in the same order: the first collects words, the second writes.
 
-    def text(episode: Row, instruction: Row) -> str:
-        key = (episode["scene_id"], episode["episode_id"], instruction["instruction_id"])
-        known = kept.pop(key, None)
-        if known is None:
-            known = texts(episode, instruction)
-            if len(kept) < TEXTS_KEPT:
-                kept[key] = known
-        return known
+    Each is made once, in the first pass, and then kept, compressed with those of its scene to some 50 bytes.
 
-    return text
+    made : makes a text; see :data:`OracleText`
+    """
+
+    def __init__(self, made: Callable[[Row, Row], str]) -> None:
+        self._made = made
+        self._blocks: deque[tuple[str, bytes]] = deque()
+        self._scene: str | None = None
+        self._texts: list[tuple[str, str]] = []
+        self._open_scene: str | None = None
+        self._open: dict[str, str] = {}
+
+    def first(self, episode: Row, instruction: Row) -> str:
+        """Make a text in the first pass, and keep it."""
+        text = self._made(episode, instruction)
+        if episode["scene_id"] != self._scene:
+            self._close()
+            self._scene = episode["scene_id"]
+        self._texts.append((_key(episode, instruction), text))
+        return text
+
+    def again(self, episode: Row, instruction: Row) -> str:
+        """Return a text in the second pass: the one that was kept, or a new one if its scene is not the next one."""
+        scene = episode["scene_id"]
+        if scene != self._open_scene:
+            self._close()
+            kept = self._blocks and self._blocks[0][0] == scene
+            self._open = dict(orjson.loads(zlib.decompress(self._blocks.popleft()[1]))) if kept else {}
+            self._open_scene = scene
+        known = self._open.pop(_key(episode, instruction), None)
+        return self._made(episode, instruction) if known is None else known
+
+    def _close(self) -> None:
+        """Compress the texts of the scene that the first pass was in."""
+        if self._scene is not None:
+            self._blocks.append((self._scene, zlib.compress(orjson.dumps(self._texts), 1)))
+        self._scene, self._texts = None, []
+
+
+def _key(episode: Row, instruction: Row) -> str:
+    return f"{episode['episode_id']} {instruction['instruction_id']}"
 
 
 def oracle_text_of(texts: OracleText, episode: Row, instruction: Row) -> str:

@@ -106,6 +106,11 @@ class SplitsConfig(Section):
         description="number of episodes wanted for each split × category × gold leaf; none = as many as keep "
         "the gold leaves balanced",
     )
+    statements: Literal["any", "even"] = Field(
+        "any",
+        description="even = leave out episodes until each statement is asked as often where it is true as where it is "
+        "false, which datasets of thousands of scenes need to pass the bias gate; any = leave out none for that",
+    )
     scenes: dict[Literal["train", "val_unseen", "test"], tuple[str, ...]] = Field(
         default_factory=dict,
         description="patterns <family>/<scene> with * and ? that assign scenes to splits, before official "

@@ -22,8 +22,8 @@ SCENES = {
 }
 
 
-def pool_of(tables: MemoryTables) -> ExportPool:
-    builder = PoolBuilder()
+def pool_of(tables: MemoryTables, *, statements: bool = False) -> ExportPool:
+    builder = PoolBuilder(statements=statements)
     for source in tables.sources:
         builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))
         for batch in tables.batches("episodes", source, POOL_COLUMNS):
@@ -33,14 +33,19 @@ def pool_of(tables: MemoryTables) -> ExportPool:
 
 @pytest.fixture(scope="module")
 def pool() -> ExportPool:
-    return pool_of(made_snapshot(SCENES, per_category=40))
+    return pool_of(made_snapshot(SCENES, per_category=40), statements=True)
 
 
 Chosen = tuple[SplitsConfig, Selection]
-CONFIGS = [SplitsConfig(), SplitsConfig(per_cell=10, val_seen_share=0.25), SplitsConfig(per_cell=10_000, seed=3)]
+CONFIGS = [
+    SplitsConfig(),
+    SplitsConfig(per_cell=10, val_seen_share=0.25),
+    SplitsConfig(per_cell=10_000, seed=3),
+    SplitsConfig(statements="even"),
+]
 
 
-@pytest.fixture(scope="module", params=CONFIGS, ids=["all", "ten a cell", "more than there is"])
+@pytest.fixture(scope="module", params=CONFIGS, ids=["all", "ten a cell", "more than there is", "even statements"])
 def chosen(request: pytest.FixtureRequest, pool: ExportPool) -> Chosen:
     return request.param, select(pool, request.param)
 
@@ -148,6 +153,14 @@ def test_the_answer_is_a_function_of_pool_and_seed(pool: ExportPool) -> None:
     first = select(pool, SplitsConfig(per_cell=8))
     np.testing.assert_array_equal(first.split, select(pool, SplitsConfig(per_cell=8)).split)
     assert (first.split != select(pool, SplitsConfig(per_cell=8, seed=1)).split).any()
+
+
+def test_what_even_statements_leave_out_is_counted(pool: ExportPool) -> None:
+    every, even = (select(pool, SplitsConfig(statements=statements)) for statements in ("any", "even"))
+    reason = "its statements are asked more often than their opposites"
+    assert even.left_out[reason] > 0 == every.left_out[reason]
+    for selection in (every, even):
+        assert (selection.split != OUT).sum() + selection.left_out.total() == len(pool)
 
 
 def test_a_split_without_scenes_lists_what_it_lacks() -> None:

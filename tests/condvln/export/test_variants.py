@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from operator import itemgetter
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from condvln.episodes.identity import numeric_id
 from condvln.evaluation.discrete import GraphDistances, evaluate_graph, read_graph_episodes
@@ -70,23 +74,43 @@ def test_shards_hold_the_episodes_scene_by_scene(exported: Path, tables: MemoryT
     assert (tmp_path / "manifest" / "train.jsonl").read_bytes() == (exported / "manifest" / "train.jsonl").read_bytes()
 
 
-@pytest.mark.parametrize("kept", [3, 1 << 16])
-def test_linear_texts_are_made_once_while_there_is_room(
-    exported: Path, tables: MemoryTables, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
-) -> None:
+def test_linear_texts_are_made_once(exported: Path, tables: MemoryTables, tmp_path: Path) -> None:
     asked: Counter[int] = Counter()
 
     def text(episode: dict[str, Any], instruction: dict[str, Any]) -> str:
         asked[episode["episode_id"]] += 1
         return linear_text(episode, instruction)
 
-    monkeypatch.setattr(variants, "TEXTS_KEPT", kept)
     export_snapshot(tables, tmp_path, oracle_texts=text)
     for split in SPLITS:
         path = f"oracle/{split}/{split}.json.gz"
         assert (tmp_path / path).read_bytes() == (exported / path).read_bytes()
-    assert Counter(asked.values())[1] == (min(kept, len(asked)))
-    assert set(asked.values()) <= {1, 2}
+    assert set(asked.values()) == {1}
+
+
+episodes_asked = st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 3)), unique=True)
+
+
+@given(episodes_asked, episodes_asked, st.randoms(use_true_random=False))
+def test_linear_texts_of_any_order_are_right_and_made_once_if_scenes_come_in_order(
+    first: list[tuple[str, int]], other: list[tuple[str, int]], random: Random
+) -> None:
+    made: list[str] = []
+
+    def text(episode: dict[str, Any], instruction: dict[str, Any]) -> str:
+        made.append(f"{episode['scene_id']} {episode['episode_id']} {instruction['instruction_id']}")
+        return made[-1]
+
+    first = sorted(first)
+    same = sorted(random.sample(first, len(first)), key=itemgetter(0))
+    for second in (same, other):
+        texts = variants.LinearTexts(text)
+        made.clear()
+        for asked, answer in ((first, texts.first), (second, texts.again)):
+            for scene, number in asked:
+                told = answer({"scene_id": scene, "episode_id": number}, {"instruction_id": f"i{number}"})
+                assert told == f"{scene} {number} i{number}"
+        assert second is not same or len(made) == len(first)
 
 
 def test_two_sources_with_one_scene_name_get_two_shards(tmp_path: Path) -> None:
