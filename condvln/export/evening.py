@@ -7,6 +7,7 @@ little else is true. In some hundred scenes this is below what a guesser can lea
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy.typing as npt
 from condvln.bias import usual_truth
 from condvln.export.pool import Codes, ExportPool
 from condvln.export.splits import fractions
+from condvln.scene.layouts import layout_of
+from schemas.config.constants import STAGINGS
 from schemas.program import CATEGORIES
 
 __all__ = ["evened"]
@@ -36,8 +39,23 @@ def evened(pool: ExportPool, rows: Codes, seed: int) -> npt.NDArray[np.bool_]:
     truth; the rarer truth of a statement has chance 1. Chances are adapted to each other in turns, as in iterative
     proportional fitting (Deming and Stephan 1940). What counts as even depends on the conditions' places in their
     programs, since an even distribution of gold leaves makes some of them true more often than false. Members of
-    counterfactual groups all stay.
+    counterfactual groups all stay, and so do episodes of stagings of a layout: their conditions were drawn as evenly as
+    so few scenes allow (``condvln.instructions.stagings``).
     """
+    stay = np.ones(len(rows), dtype=bool)
+    asked = np.flatnonzero(~_staged(pool)[pool.scene[rows]])
+    stay[asked] = _evened(pool, rows[asked], seed)
+    return stay
+
+
+def _staged(pool: ExportPool) -> npt.NDArray[np.bool_]:
+    """Return for each scene of a pool whether it is one of several stagings of a layout."""
+    layouts = [(family, layout_of(scene)) for family, scene in pool.scenes]
+    count = Counter(layouts)
+    return np.array([bool(one[1]) and count[one] >= STAGINGS for one in layouts], dtype=bool)
+
+
+def _evened(pool: ExportPool, rows: Codes, seed: int) -> npt.NDArray[np.bool_]:
     sizes = np.diff(pool.offsets)[rows]
     episode = np.repeat(np.arange(len(rows)), sizes)
     place = np.arange(len(episode)) - np.repeat(np.cumsum(sizes) - sizes, sizes)

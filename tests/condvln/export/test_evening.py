@@ -83,6 +83,16 @@ def test_members_of_groups_stay() -> None:
     assert kept(pool_with(simple(500, 2, 0.9), grouped=True)).all()
 
 
+def test_stagings_of_a_layout_stay_and_do_not_count() -> None:
+    alone = simple(500, 2, 0.9)
+    staged = [(f"v3_sc0_staging_{int(scene.split()[-1]):02d}", *rest) for scene, *rest in simple(60, 5, 0.0)]
+    pool = pool_with([*alone, *staged])
+    assert kept(pool)[len(alone) :].all()
+    assert kept(pool)[: len(alone)].tolist() == kept(pool_with(alone)).tolist()
+    two = [(f"v3_sc1_staging_0{k}", *rest) for k in range(2) for _, *rest in simple(1, 400, 1.0)]
+    assert not kept(pool_with(two)).all()
+
+
 def test_the_choice_depends_on_episodes_and_seed_alone() -> None:
     pool = pool_with(simple(1000, 2, 0.8))
     order = np.random.default_rng(1).permutation(len(pool))

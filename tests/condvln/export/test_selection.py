@@ -159,8 +159,8 @@ def test_what_even_statements_leave_out_is_counted(pool: ExportPool) -> None:
     every, even = (select(pool, SplitsConfig(statements=statements)) for statements in ("any", "even"))
     reason = "its statements are asked more often than their opposites"
     assert even.left_out[reason] > 0 == every.left_out[reason]
-    for selection in (every, even):
-        assert (selection.split != OUT).sum() + selection.left_out.total() == len(pool)
+    for found in (every, even):
+        assert (found.split != OUT).sum() + found.left_out.total() == len(pool)
 
 
 def test_a_split_without_scenes_lists_what_it_lacks() -> None:
