@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Final, Literal
 
 from pydantic import ValidationError
 
@@ -17,17 +17,22 @@ __all__ = ["add_bias", "priors_behind"]
 
 _COLUMNS = ("guesser", "source", "part", "episodes", "right", "low", "high", "chance", "p (Holm)")
 
+BY_STATEMENT: Final = frozenset({"label and room", "whole statement"})
+"""Guessers that learn how often a statement is true."""
+
 
 def add_bias(
     report: Report,
     found: BiasReport | None,
     action: Literal["off", "warn", "fail"],
     behind: tuple[int, int] | None = None,
+    statements: Literal["any", "even"] = "even",
 ) -> None:
     """Add the verdict and the table of the bias gate to `report`. The exit code is 3 if a guesser beats chance and
     `action` is ``fail``.
 
     behind : where the priors were counted over fewer scenes than are published, both numbers; a likely cause
+    statements : ``any`` if the export could still leave out episodes until statements are even
     """
     if found is None:
         return
@@ -38,6 +43,12 @@ def add_bias(
         report.lines.append(
             f"label priors were counted over {counted} scenes, but {now} are published, so words may predict what is "
             "true in the other scenes; condvln rebuild CONFIG --priors counts them again"
+        )
+    learned = {finding.guesser for finding in found.beaten} & BY_STATEMENT
+    if learned and statements == "any":
+        report.lines.append(
+            "some statements are asked more often where they are true, others where they are false; "
+            "splits.statements=even leaves out episodes until they are even"
         )
     rows = found.overview()
     # Source by source there are dozens; what is in order stands in export.json and on the card.

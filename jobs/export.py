@@ -117,7 +117,8 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     if not sum(done.episodes.values()):
         report.exit_code = SmallerExportError.exit_code
     failed = done.bias is not None and not done.bias.passed
-    add_bias(report, done.bias, config.splits.bias, priors_behind(snapshot, config.name) if failed else None)
+    behind = priors_behind(snapshot, config.name) if failed else None
+    add_bias(report, done.bias, config.splits.bias, behind, config.splits.statements)
     _add_viewpoints(report, config, viewpoints)
     return report
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Literal
 
 import pytest
 
-from condvln.bias import judge_export
+from condvln.bias import BiasReport, Finding, judge_export
 from condvln.export.snapshot import ExportConfig, export_snapshot
 from factory.local_store import LocalStore
 from jobs.bias import add_bias, priors_behind
@@ -64,6 +65,19 @@ def test_a_passed_gate_never_fails(tmp_path: Path) -> None:
     add_bias(report, judge_export(tmp_path), "fail")
     assert report.exit_code == 0
     assert report.lines[0].startswith("bias gate: ")
+
+
+def test_statements_that_tell_the_truth_are_named_with_what_helps() -> None:
+    def said(guesser: str, statements: Literal["any", "even"]) -> list[str]:
+        finding = Finding(guesser, "procthor", "all", 900, 90, 0.6, 0.5, 0.55, 0.65, 1e-9, 1e-8)
+        report = Report({})
+        add_bias(report, BiasReport(episodes=900, groups=0, findings=(finding,), uniformity=(), untested=()), "warn",
+                 statements=statements)  # fmt: skip
+        return report.lines[1:]
+
+    (line,) = said("whole statement", "any")
+    assert "splits.statements=even" in line
+    assert said("whole statement", "even") == said("nearest target", "any") == []
 
 
 def test_priors_of_fewer_scenes_are_named_as_a_cause(leaking: Path, tmp_path: Path) -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 
 import numpy as np
+import orjson
 import pyarrow as pa
 import pytest
 
+from condvln.bias import judge
 from condvln.bias.learners import leaf_truths
 from condvln.export.evening import SCENES, evened
 from condvln.export.pool import INSTRUCTION_COLUMNS, ExportPool, PoolBuilder, hashes_of
+from condvln.export.snapshot import export_snapshot
 from schemas.program import CATEGORIES, Category
 from tests.condvln.export.test_selection import pool_of
 from tests.made_snapshot import made_snapshot
@@ -91,6 +96,32 @@ def test_stagings_of_a_layout_stay_and_do_not_count() -> None:
     assert kept(pool)[: len(alone)].tolist() == kept(pool_with(alone)).tolist()
     two = [(f"v3_sc1_staging_0{k}", *rest) for k in range(2) for _, *rest in simple(1, 400, 1.0)]
     assert not kept(pool_with(two)).all()
+
+
+@pytest.mark.costly
+def test_a_guesser_of_statements_finds_no_more_than_chance_in_what_stays(tmp_path: Path) -> None:
+    """Thirty statements of two thousand scenes, each of which is true in 85 or in 15 % of the scenes."""
+    export_snapshot(made_snapshot(), tmp_path)
+    lines = (tmp_path / "manifest" / "train.jsonl").read_bytes().splitlines()
+    row = next(row for row in map(orjson.loads, lines) if row["category"] == "simple")
+    random = np.random.default_rng(0)
+    episodes: list[Episode] = []
+    rows = []
+    for k in range(8000):
+        word, scene = int(random.integers(30)), f"house_{k // 4}"
+        truth = bool(random.random() < (0.85, 0.15)[word % 2])
+        episodes.append((scene, "simple", [(f"thing {word:02d}", truth)]))
+        (condition,) = row["program"]["conditions"]
+        program = {**row["program"], "conditions": [{**condition, "label": f"thing {word:02d}", "truth": truth}]}
+        name = hashlib.sha256(str(k).encode()).hexdigest()
+        told = {"scene_id": scene, "group_id": None, "episode_hash": name, "gold_leaf": 1 - truth, "program": program}
+        rows.append({**row, **told})
+    before = judge(rows)
+    assert {finding.guesser for finding in before.beaten} >= {"label and room", "whole statement"}
+    stay = kept(pool_with(episodes))
+    after = judge([told for told, stays in zip(rows, stay, strict=True) if stays])
+    assert after.beaten == []
+    assert stay.mean() > 0.25
 
 
 def test_the_choice_depends_on_episodes_and_seed_alone() -> None:
