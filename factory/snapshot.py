@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -312,8 +312,16 @@ class Snapshot:
             raise StoreError("the files are not on this machine's disk", where=self.store.url)
         return local
 
-    def table(self, name: str, columns: list[str] | None = None, partition: str | None = None) -> pa.Table:
+    def table(
+        self,
+        name: str,
+        columns: list[str] | None = None,
+        partition: str | None = None,
+        narrowed: Callable[[pa.Table], pa.Table] = lambda rows: rows,
+    ) -> pa.Table:
         """Read rows of a table, with the partition as the last column ``source``.
+
+        narrowed : returns what is kept of the rows of a file, so that not all rows of a large table are in memory
 
         Raises ``CorruptShardError`` when a file differs from the manifest.
         """
@@ -332,7 +340,7 @@ class Snapshot:
                     ) from error
                 if hashlib.sha256(data).hexdigest() != part.sha256:
                     raise CorruptShardError("the file differs from the manifest", where=where, remedy=REBUILD_VERIFIED)
-                rows = parquet_table(data, where, columns)
+                rows = narrowed(parquet_table(data, where, columns))
                 tables.append(rows.append_column("source", _repeated(source, rows.num_rows)))
         return pa.concat_tables(tables) if tables else pa.table({})
 

@@ -123,7 +123,7 @@ def _scene(world: World, seed: int, position: tuple[float, float, float] | None,
 
 def _episode(config: Config, name: str, missing: UsageError) -> _Shots:
     snapshot = published(config)
-    rows = [row for row in named_rows(snapshot, snapshot.table("episodes"), name) if row["episode_id"] is not None]
+    rows = [row for row in named_rows(snapshot, name) if row["episode_id"] is not None]
     if len(rows) != 1:
         what = str(missing.what) if not rows else f"{len(rows)} episodes begin with {name!r}"
         what += ", and no episode id begins with it" if not rows else ""

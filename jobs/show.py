@@ -5,7 +5,8 @@ Scenes without navmesh publish instructions that no episode was placed for: text
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -66,15 +67,15 @@ def show_episodes(
 
 
 def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str, Any]]:
-    episodes = snapshot.table("episodes")
     if name is not None:
-        rows = named_rows(snapshot, episodes, name)
+        rows = named_rows(snapshot, name)
         if not rows:
             raise UsageError(
                 f"no episode and no instruction {name!r}", remedy="condvln show CONFIG --sample 5 lists some."
             )
         return rows
     # Ids are hashes: taking them in their order is a sample that is the same every time.
+    episodes = snapshot.table("episodes", narrowed=partial(_first, sample=sample))
     first: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for category in CATEGORIES if episodes.num_rows else ():
         of_category = episodes.filter(pc.equal(episodes["category"], category)).sort_by("episode_id")
@@ -83,7 +84,7 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
             first[category, source] = of_source.slice(0, sample).to_pylist()
     for source in snapshot.manifest.tables["instructions"].partitions:
         lacking = [category for category in CATEGORIES if (category, source) not in first]
-        table = _instructions(snapshot, source) if lacking else pa.table({})
+        table = _instructions(snapshot, source, lambda rows: rows) if lacking else pa.table({})
         for category in lacking if table.num_rows else ():
             of_category = table.filter(pc.equal(table["category"], category)).sort_by("instruction_id")
             first[category, source] = _unplaced(of_category.slice(0, sample))
@@ -92,10 +93,28 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
     return spread(first, sample)
 
 
-def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[str, Any]]:
+def _first(rows: pa.Table, sample: int) -> pa.Table:
+    """Return the rows of a file with the smallest ids, so many of each category."""
+    found = [rows.schema.empty_table()]  # an empty slice would hold all rows in memory
+    for category in CATEGORIES:
+        of_category = rows.filter(pc.equal(rows["category"], category))
+        least = pc.select_k_unstable(of_category, min(sample, of_category.num_rows), [("episode_id", "ascending")])
+        found.append(of_category.take(least))
+    return pa.concat_tables(found)
+
+
+def _beginning(rows: pa.Table, name: str) -> pa.Table:
+    """Return the rows of a file with an id, of the episode or its instruction, that begins with `name`."""
+    columns = {"episode_id", "episode_hash", "instruction_id"} & {*rows.column_names}
+    masks = [pc.starts_with(pc.cast(rows[column], pa.string()), name) for column in sorted(columns)]
+    return rows.filter(reduce(pc.or_, masks))
+
+
+def named_rows(snapshot: Snapshot, name: str) -> list[dict[str, Any]]:
     """Return the rows of the episodes whose id begins with `name`. If there are none, return the rows of all episodes
     of the instructions whose id begins with `name`; an instruction without episodes is returned itself.
     """
+    episodes = snapshot.table("episodes", narrowed=partial(_beginning, name=name))
     for column in ("episode_id", "episode_hash"):
         if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
             continue
@@ -106,9 +125,7 @@ def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[s
                 return rows
     rows = []
     for source in sorted(snapshot.manifest.tables["instructions"].partitions):
-        table = _instructions(snapshot, source)
-        found = table.filter(pc.starts_with(table["instruction_id"], name)) if table.num_rows else table
-        for instruction in _unplaced(found):
+        for instruction in _unplaced(_instructions(snapshot, source, partial(_beginning, name=name))):
             placed = []
             if episodes.num_rows:
                 same = pc.equal(episodes["instruction_id"], instruction["instruction_id"])
@@ -117,8 +134,8 @@ def named_rows(snapshot: Snapshot, episodes: pa.Table, name: str) -> list[dict[s
     return rows
 
 
-def _instructions(snapshot: Snapshot, source: str) -> pa.Table:
-    return snapshot.table("instructions", columns=list(_INSTRUCTION_COLUMNS), partition=source)
+def _instructions(snapshot: Snapshot, source: str, narrowed: Callable[[pa.Table], pa.Table]) -> pa.Table:
+    return snapshot.table("instructions", list(_INSTRUCTION_COLUMNS), source, narrowed)
 
 
 def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:
@@ -144,12 +161,15 @@ def spread(first: Mapping[tuple[str, str], Sequence[Item]], sample: int) -> list
     return picked[:sample]
 
 
+def _of_instructions(rows: pa.Table, wanted: pa.Array) -> pa.Table:
+    return rows.filter(pc.is_in(rows["instruction_id"], value_set=wanted))
+
+
 def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str, str], Program]:
     found = {}
     for source in sorted({row["source"] for row in rows}):
-        table = snapshot.table("instructions", partition=source)
-        wanted = [row["instruction_id"] for row in rows if row["source"] == source]
-        kept = table.filter(pc.is_in(table["instruction_id"], value_set=pa.array(wanted, pa.string())))
+        wanted = pa.array([row["instruction_id"] for row in rows if row["source"] == source], pa.string())
+        kept = snapshot.table("instructions", partition=source, narrowed=partial(_of_instructions, wanted=wanted))
         found.update({(source, name): program for name, program in programs_from_table(kept)})
     return found
 

@@ -153,6 +153,7 @@ CHANGED: dict[str, Any] = {
     "text.steps_per_word": 30,
     "splits.seed": 1,
     "splits.per_cell": 1,
+    "splits.statements": "even",
     "splits.scenes": {"test": ["*/*"]},
     "splits.sharded": True,
     "splits.val_seen_share": 0.9,

@@ -1,9 +1,10 @@
-"""A source that is published in many files is exported and proven as one in a single file."""
+"""A source that is published in many files is exported, proven and shown as one in a single file."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.listing import listed_units
 from jobs.pipeline import build_pipeline
+from jobs.show import _first, show_episodes
 from jobs.verify import verify_export
 from jobs.workspace import published
 from schemas.config import Config, InstructionsConfig, SourceConfig
@@ -57,3 +59,13 @@ def test_an_export_does_not_depend_on_the_size_of_files(tmp_path: Path) -> None:
     assert len(episodes_of(tmp_path / "whole/export")) > 8
     assert episodes_of(tmp_path / "parts/export") == episodes_of(tmp_path / "whole/export")
     assert verify_export(parts, tmp_path / "parts/export").exit_code == 0
+    shown = show_episodes(whole, sample=9)
+    assert show_episodes(parts, sample=9).lines == shown.lines
+    # Not all rows are in memory: each file gives no more than what can be shown.
+    rows = published(parts).table("episodes", narrowed=partial(_first, sample=1))
+    assert len(CATEGORIES) <= rows.num_rows <= len(CATEGORIES) * len(scenes)
+    for episode in shown.document["episodes"]:
+        for name in (episode["episode_id"], episode["episode_hash"][:12], episode["instruction_id"]):
+            found = show_episodes(parts, episode=str(name))
+            assert found.lines == show_episodes(whole, episode=str(name)).lines
+            assert episode in found.document["episodes"]

@@ -131,10 +131,14 @@ def test_a_compiler_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None
     assert psutil.wait_procs(others, timeout=20)[1] == []
 
 
+# What runs in the background of a shell ignores Ctrl-C, and Python leaves it so.
+INTERRUPTIBLE = f"import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n{LOADED}"
+
+
 @pytest.mark.parametrize("to", [os.kill, os.killpg], ids=["the process", "its group, as a terminal does"])
 def test_ctrl_c_while_kernels_compile_ends_all_processes(tmp_path: Path, to: Callable[[int, int], None]) -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", LOADED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, start_new_session=True,
     ) as process:  # fmt: skip
         assert process.stdout is not None
