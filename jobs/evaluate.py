@@ -208,9 +208,11 @@ def walk_split(
     Raises
     ------
     UsageError : no such agent, or it answers something that is not an action
+    MissingFileError, FormatError : the navmesh of an episode is in no folder, or differs; nothing is walked then
     """
     tasks = split_tasks(export, split)
     navmeshes = NavmeshFolder((export, *roots, *datasets_of(datasets).values()))
+    navmeshes.check(tasks)
     if agent == LOOKER:
         predictions = predict_all(looking_agent(datasets, looker), tasks, navmeshes, seed=seed)
     elif is_policy(agent):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Final, Protocol
 
@@ -59,6 +59,17 @@ class NavmeshFolder:
         FormatError : the file differs from the navmesh with which the episodes were generated
         """
         return self.load(episode.navmesh, episode.navmesh_sha256, f"episode {episode.episode_id}")
+
+    def check(self, episodes: Iterable[OnNavmesh]) -> None:
+        """Look for the navmeshes of all episodes, so that none is missed in the middle of the work. Raises what a call
+        raises.
+        """
+        seen: set[tuple[str, str]] = set()
+        for episode in episodes:
+            key = (episode.navmesh, episode.navmesh_sha256)
+            if key not in seen:
+                seen.add(key)
+                self.path(*key, f"episode {episode.episode_id}")
 
     def load(self, navmesh: str, sha256: str, place: str) -> Pathfinder:
         """Return the pathfinder of the navmesh with the path ``navmesh`` below a root and the hash ``sha256``.

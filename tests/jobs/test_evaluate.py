@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from condvln.explorer.chunks import chunk_content
 from jobs.command import app
 from jobs.report import Report
 from schemas.config import Config
-from schemas.errors import FormatError, UsageError
+from schemas.errors import FormatError, MissingFileError, UsageError
 from tests.strict_loader import read
 
 runner = CliRunner()
@@ -40,6 +41,20 @@ def agents(export: Path, split: str, made_dataset: Path, tmp_path_factory: pytes
         result = runner.invoke(app, [*words, "--navmesh-root", str(made_dataset)])
         assert result.exit_code == 0, result.output
     return {path.stem: path for path in folder.glob("*.json")}
+
+
+def test_a_navmesh_that_is_missing_is_named_before_the_first_walk(
+    export: Path, split: str, made_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(made_dataset, tmp_path / "dataset")
+    tasks = split_tasks(export, split)
+    assert tasks[0].navmesh != tasks[-1].navmesh
+    (tmp_path / "dataset" / tasks[-1].navmesh).unlink()
+    monkeypatch.setattr("jobs.evaluate.agent_named", lambda name: lambda *arguments: pytest.fail("walked"))
+    words = ["walk", str(export), split, "--agent", "oracle", "--out", str(tmp_path / "oracle.json")]
+    result = runner.invoke(app, [*words, "--navmesh-root", str(tmp_path / "dataset")])
+    assert isinstance(result.exception, MissingFileError) or result.exit_code == 3, result.output
+    assert tasks[-1].navmesh in result.output + str(result.exception)
 
 
 @pytest.fixture
