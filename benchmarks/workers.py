@@ -40,7 +40,7 @@ class _Run:
     """What a run took.
 
     seconds : by the clock, Ray's start included
-    stages : CPU seconds of the stages
+    stages : seconds of the stages by the clock, added up over the workers
     driver : CPU seconds of the process that handed out the work, if another did it
     """
 
@@ -92,7 +92,7 @@ def main() -> None:
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "60"))
     asked = int(os.environ.get("CONDVLN_BENCH_CATEGORY", "80"))
     table = Table(title=f"{scenes} scenes, {asked} episodes a category")
-    columns = ("family", "run", "episodes", "s", "CPU s of stages", "CPU s of the driver", "× one")
+    columns = ("family", "run", "episodes", "s", "s of stages", "CPU s of the driver", "× one")
     for column in columns:
         table.add_column(column, justify="right")
     real = real_families()
