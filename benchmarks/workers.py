@@ -97,9 +97,9 @@ def main() -> None:
         table.add_column(column, justify="right")
     real = real_families()
     chosen = os.environ.get("CONDVLN_BENCH_FAMILIES", "procthor").split(",")
-    for family in get_args(Family):
-        if family not in chosen or family not in real:
-            continue
+    for family in [family for family in get_args(Family) if family in chosen]:
+        if family not in real:
+            raise SystemExit(f"{family}: its real scenes are not here")
         root = real[family]
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)

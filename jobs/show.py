@@ -75,7 +75,7 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
             )
         return rows
     # Ids are hashes: taking them in their order is a sample that is the same every time.
-    episodes = snapshot.table("episodes", narrowed=partial(_first, sample=sample))
+    episodes = snapshot.table("episodes", narrowed=partial(_first, sample=sample, by="episode_id"))
     first: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for category in CATEGORIES if episodes.num_rows else ():
         of_category = episodes.filter(pc.equal(episodes["category"], category)).sort_by("episode_id")
@@ -84,7 +84,8 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
             first[category, source] = of_source.slice(0, sample).to_pylist()
     for source in snapshot.manifest.tables["instructions"].partitions:
         lacking = [category for category in CATEGORIES if (category, source) not in first]
-        table = _instructions(snapshot, source, lambda rows: rows) if lacking else pa.table({})
+        least = partial(_first, sample=sample, by="instruction_id")
+        table = _instructions(snapshot, source, least) if lacking else pa.table({})
         for category in lacking if table.num_rows else ():
             of_category = table.filter(pc.equal(table["category"], category)).sort_by("instruction_id")
             first[category, source] = _unplaced(of_category.slice(0, sample))
@@ -93,12 +94,12 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
     return spread(first, sample)
 
 
-def _first(rows: pa.Table, sample: int) -> pa.Table:
-    """Return the rows of a file with the smallest ids, so many of each category."""
+def _first(rows: pa.Table, sample: int, by: str) -> pa.Table:
+    """Return the rows of a file with the smallest ids in the column `by`, so many of each category."""
     found = [rows.schema.empty_table()]  # an empty slice would hold all rows in memory
     for category in CATEGORIES:
         of_category = rows.filter(pc.equal(rows["category"], category))
-        least = pc.select_k_unstable(of_category, min(sample, of_category.num_rows), [("episode_id", "ascending")])
+        least = pc.select_k_unstable(of_category, min(sample, of_category.num_rows), [(by, "ascending")])
         found.append(of_category.take(least))
     return pa.concat_tables(found)
 

@@ -22,7 +22,7 @@ from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from schemas.program import CATEGORIES, SHAPES, Category
 
-__all__ = ["LEARNED", "Learner", "content_words", "leaf_truths", "usual_truth"]
+__all__ = ["LEARNED", "Learner", "content_words", "leaf_truths", "usual_truths"]
 
 Learner = Callable[[Sequence[GuesserView]], Guesses]
 """A learner returns one guess per episode of a source. It learns each block from the blocks before it, so that the
@@ -63,7 +63,7 @@ def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
 
 
 @cache
-def usual_truth(category: Category) -> tuple[float, ...]:
+def _usual_truth(category: Category) -> tuple[float, ...]:
     """Return how often each condition is true if all leaves are equally often gold.
 
     Conditions that are not on the path to the gold leaf count as true with probability 1/2.
@@ -79,6 +79,19 @@ def usual_truth(category: Category) -> tuple[float, ...]:
         ]
         share += np.mean(fitting, axis=0) / shape.leaves
     return tuple(share.tolist())
+
+
+@cache
+def usual_truths() -> NDArray[np.float64]:
+    """Return how often each condition is true if all leaves are equally often gold, by category (its place in
+    `CATEGORIES`) and place in the program.
+    """
+    found = np.zeros((len(CATEGORIES), max(len(shape.branches) for shape in SHAPES.values())))
+    for code, name in enumerate(CATEGORIES):
+        share = _usual_truth(name)
+        found[code, : len(share)] = share
+    found.flags.writeable = False
+    return found
 
 
 def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
@@ -140,11 +153,7 @@ class _Counted(NamedTuple):
         """Return the statements of `views`; `key` says which conditions state the same."""
         asked = views.statements
         statement = dense(combined(*key(asked)))
-        usual = np.zeros((len(CATEGORIES), int(asked.place.max(initial=0)) + 1))
-        for code in np.unique(views.category).tolist():
-            share = usual_truth(CATEGORIES[code])
-            usual[code, : len(share)] = share
-        shares = usual[views.category[asked.episode], asked.place]
+        shares = usual_truths()[views.category[asked.episode], asked.place]
         return cls(int(statement.max(initial=-1)) + 1, asked.begins, statement, asked.truth, shares)
 
     def add_to(self, seen: NDArray[np.float64], episodes: NDArray[np.int64]) -> None:
@@ -163,7 +172,7 @@ class _Counted(NamedTuple):
         """Return a score for each leaf of each of `episodes`, which are of one category, (leaves, episodes): larger if
         statements were often true and false as on the way to this leaf.
         """
-        usual = np.array(usual_truth(category))
+        usual = np.array(_usual_truth(category))
         prior = PRIOR_WEIGHT * np.stack([1.0 - usual, usual], axis=1)
         counts = seen[self.statement[self.begins[episodes][:, None] + np.arange(len(usual))]]
         odds = np.log((counts[..., :2] + prior) / (counts[..., 2:] + prior))

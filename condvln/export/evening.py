@@ -13,12 +13,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from condvln.bias import usual_truth
+from condvln.bias import usual_truths
 from condvln.export.pool import Codes, ExportPool
 from condvln.export.splits import fractions
 from condvln.scene.layouts import layout_of
 from schemas.config.constants import STAGINGS
-from schemas.program import CATEGORIES
 
 __all__ = ["evened"]
 
@@ -41,10 +40,16 @@ def evened(pool: ExportPool, rows: Codes, seed: int) -> npt.NDArray[np.bool_]:
     programs, since an even distribution of gold leaves makes some of them true more often than false. Members of
     counterfactual groups all stay, and so do episodes of stagings of a layout: their conditions were drawn as evenly as
     so few scenes allow (``condvln.instructions.stagings``).
+
+    Raises
+    ------
+    ValueError : the pool was built without statements
     """
+    if pool.statements is None:
+        raise ValueError("the pool was built without statements")
     stay = np.ones(len(rows), dtype=bool)
     asked = np.flatnonzero(~_staged(pool)[pool.scene[rows]])
-    stay[asked] = _evened(pool, rows[asked], seed)
+    stay[asked] = _evened(pool, pool.statements, rows[asked], seed)
     return stay
 
 
@@ -55,15 +60,15 @@ def _staged(pool: ExportPool) -> npt.NDArray[np.bool_]:
     return np.array([bool(one[1]) and count[one] >= STAGINGS for one in layouts], dtype=bool)
 
 
-def _evened(pool: ExportPool, rows: Codes, seed: int) -> npt.NDArray[np.bool_]:
+def _evened(pool: ExportPool, statements: Codes, rows: Codes, seed: int) -> npt.NDArray[np.bool_]:
     sizes = np.diff(pool.offsets)[rows]
     episode = np.repeat(np.arange(len(rows)), sizes)
     place = np.arange(len(episode)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     at = pool.offsets[rows][episode] + place
     truth = pool.truths[at]
-    _, statement = np.unique(pool.statements[at], return_inverse=True)
+    _, statement = np.unique(statements[at], return_inverse=True)
     count = int(statement.max(initial=-1)) + 1
-    usual = _usual_truths()[pool.category[rows][episode], place]
+    usual = usual_truths()[pool.category[rows][episode], place]
     single = ~pool.grouped[rows]
     scenes = len(pool.scenes)
     pairs = np.unique(statement.astype(np.int64) * scenes + pool.scene[rows][episode])
@@ -86,12 +91,3 @@ def _evened(pool: ExportPool, rows: Codes, seed: int) -> npt.NDArray[np.bool_]:
         )
         tilt = 0.5 * (tilt + np.log(true * all_false / (false * all_true)))
     return fractions(pool.episode[rows], seed, "statements") < chances()
-
-
-def _usual_truths() -> npt.NDArray[np.float64]:
-    """Return how often each condition is true if all leaves are equally often gold, by category and place."""
-    found = np.zeros((len(CATEGORIES), 3))
-    for code, name in enumerate(CATEGORIES):
-        share = usual_truth(name)
-        found[code, : len(share)] = share
-    return found

@@ -71,8 +71,8 @@ class ExportPool:
     ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``,
     ``unit`` and ``start`` (a position in a scene) are hashes.
     ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition (label, room type, with or without a relation)
-    in the instruction of episode ``i``, ``statements`` what each says in full (0 if that was not asked for), ``truths``
-    whether it is true. ``reasons[unfit[i]]`` says why an episode can be in no split.
+    in the instruction of episode ``i``, ``statements`` what each says in full (None if that was not asked for),
+    ``truths`` whether it is true. ``reasons[unfit[i]]`` says why an episode can be in no split.
     """
 
     sources: tuple[str, ...]
@@ -94,7 +94,7 @@ class ExportPool:
     unfit: Codes
     offsets: Codes
     conditions: Codes
-    statements: Codes
+    statements: Codes | None
     truths: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -225,7 +225,7 @@ class PoolBuilder:
             grouped=columns["grouped"],
             offsets=offsets,
             conditions=conditions,
-            statements=statements,
+            statements=statements if self._with_statements else None,
             truths=truths,
             episode=columns["episode"],
             instruction=columns["instruction"],

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -112,47 +113,43 @@ def test_what_the_cache_lacks_is_compiled_side_by_side_and_kept(tmp_path: Path) 
     assert loaded(tmp_path) == []
 
 
-def test_a_compiler_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None:
-    """What it has not compiled is compiled where it is needed."""
-    with subprocess.Popen(
-        [sys.executable, "-c", LOADED], stdout=subprocess.PIPE, text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-    ) as process:  # fmt: skip
-        assert process.stdout is not None
-        assert process.stdout.readline() == "compiling 2 groups of kernels\n"
-        deadline = time.monotonic() + 60
-        while len(others := psutil.Process(process.pid).children(recursive=True)) < 3:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        next(one for one in others if one.ppid() == process.pid).kill()
-        said = process.stdout.read()
-    assert process.returncode == 0
-    assert "compiling condvln." in said
-    assert psutil.wait_procs(others, timeout=20)[1] == []
-
-
 # What runs in the background of a shell ignores Ctrl-C, and Python leaves it so.
 INTERRUPTIBLE = f"import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n{LOADED}"
 
 
-@pytest.mark.parametrize("to", [os.kill, os.killpg], ids=["the process", "its group, as a terminal does"])
-def test_ctrl_c_while_kernels_compile_ends_all_processes(tmp_path: Path, to: Callable[[int, int], None]) -> None:
+@contextmanager
+def compiling(folder: Path) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process]]]:
+    """Start a process that compiles two groups, and yield it with its children as soon as all of them are there."""
     with subprocess.Popen(
         [sys.executable, "-c", INTERRUPTIBLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, start_new_session=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(folder)}, start_new_session=True,
     ) as process:  # fmt: skip
         assert process.stdout is not None
-        assert process.stderr is not None
         assert process.stdout.readline() == "compiling 2 groups of kernels\n"
         deadline = time.monotonic() + 60
         while len(others := psutil.Process(process.pid).children(recursive=True)) < 3:
             assert time.monotonic() < deadline
             time.sleep(0.02)
+        yield process, others
+    assert psutil.wait_procs(others, timeout=20)[1] == []
+
+
+def test_a_compiler_that_is_killed_leaves_nothing_behind(tmp_path: Path) -> None:
+    """What it has not compiled is compiled where it is needed."""
+    with compiling(tmp_path) as (process, others):
+        next(one for one in others if one.ppid() == process.pid).kill()
+        said, _ = process.communicate()
+    assert process.returncode == 0
+    assert "compiling condvln." in said
+
+
+@pytest.mark.parametrize("to", [os.kill, os.killpg], ids=["the process", "its group, as a terminal does"])
+def test_ctrl_c_while_kernels_compile_ends_all_processes(tmp_path: Path, to: Callable[[int, int], None]) -> None:
+    with compiling(tmp_path) as (process, _):
         to(process.pid, signal.SIGINT)
-        said = process.stderr.read()
+        _, said = process.communicate()
     assert process.returncode == -signal.SIGINT
     assert said.count("Traceback") == 1, said  # this process's own; the command's is one line
-    assert psutil.wait_procs(others, timeout=20)[1] == []
 
 
 def test_kernels_are_loaded_only_before_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

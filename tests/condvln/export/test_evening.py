@@ -16,7 +16,8 @@ from condvln.bias import judge
 from condvln.bias.learners import leaf_truths
 from condvln.export.evening import SCENES, evened
 from condvln.export.pool import INSTRUCTION_COLUMNS, ExportPool, PoolBuilder, hashes_of
-from condvln.export.snapshot import export_snapshot
+from condvln.export.snapshot import ExportConfig, export_snapshot
+from schemas.config import SplitsConfig
 from schemas.program import CATEGORIES, Category
 from tests.condvln.export.test_selection import pool_of
 from tests.made_snapshot import made_snapshot
@@ -155,4 +156,19 @@ def test_statements_are_equal_where_all_words_are() -> None:
         builder.add_instructions(source, table.select(INSTRUCTION_COLUMNS).to_batches(max_chunksize=7))
     codes = np.concatenate([part.statements for part in builder._asked]).tolist()
     assert len({*zip(said, codes, strict=True)}) == len({*said}) == len({*codes}) > 20
-    assert not pool_of(tables).statements.any()
+    with pytest.raises(ValueError, match="without statements"):
+        kept(pool_of(tables))
+
+
+def test_an_export_that_asks_for_it_is_evened(tmp_path: Path) -> None:
+    """Presence and truth of what is said are independent of the scene in made snapshots, so a few episodes go."""
+    tables = made_snapshot({"procthor": [f"house_{k}" for k in range(6)]}, per_category=40)
+    reports = {
+        statements: export_snapshot(tables, tmp_path / statements, ExportConfig(SplitsConfig(statements=statements)))
+        for statements in ("any", "even")
+    }
+    reason = "its statements are asked more often than their opposites"
+    assert reason not in reports["any"].left_out
+    assert reports["even"].left_out[reason] > 0
+    for report in reports.values():
+        assert sum(report.episodes.values()) + sum(report.left_out.values()) == 6 * len(CATEGORIES) * 40
