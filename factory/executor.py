@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from factory.context import RunContext
 from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob, pack
+from factory.preload import NOTHING, Preload
 from factory.receipt import Receipt
 from factory.unit import Work
 from factory.worker import Worker
@@ -54,6 +55,12 @@ class Executor(Protocol):
         """
         ...
 
+    def prepare(self, seconds: float) -> None:
+        """Get ready for tasks whose expected cost is ``seconds`` CPU seconds in total; called before the tasks are
+        handed out, and not at all where there are none.
+        """
+        ...
+
     def busy(self) -> Sequence[Busy]:
         """Return the units that are known to be under way; called from another thread while ``run`` goes on."""
         ...
@@ -75,11 +82,24 @@ class InlineExecutor:
 
     workers = 1
 
-    def __init__(self) -> None:
+    def __init__(self, preload: Preload = NOTHING, note: Callable[[str], None] = lambda _: None) -> None:
+        """Create the executor.
+
+        preload : called before the first task
+        note : shows what `preload` says
+        """
+        self._preload = preload
+        self._note = note
+        self._prepared = False
         self._worker: Worker | None = None
 
     def workers_for(self, seconds: float) -> int:
         return 1
+
+    def prepare(self, seconds: float) -> None:
+        if not self._prepared:
+            self._preload.load(self._note)
+            self._prepared = True
 
     def busy(self) -> Sequence[Busy]:
         found = None if self._worker is None else self._worker.place.busy()

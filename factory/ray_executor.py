@@ -12,25 +12,24 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Final
+from typing import Any
 
 from factory.context import RunContext
+from factory.dispatch import Dispatch
 from factory.executor import Task
 from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob
-from factory.ray_dispatch import Dispatch, pack_task, work_task
+from factory.preload import NOTHING, Preload
+from factory.process_executor import SINGLE_THREADED
+from factory.ray_crew import RayCrew
 from factory.ray_guard import Guard
+from factory.ray_metrics import RunMetrics
 from factory.ray_node import RayNode
 from factory.receipt import Receipt
 
 __all__ = ["RayExecutor"]
-
-SINGLE_THREADED: Final = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "ARROW_NUM_THREADS"), "1"
-)
-"""Environment of workers: units already share the CPUs, so libraries must not start threads."""
 
 
 class RayExecutor:
@@ -40,17 +39,27 @@ class RayExecutor:
         cluster that is joined, at most as many tasks are in flight (as the cluster has room for by default)
     address : of a running cluster (``auto``, ``host:port``, ``ray://…``); None starts Ray here, ``close`` stops it
     init : further arguments of ``ray.init`` (``runtime_env``, ``namespace`` …)
+    preload : called in this process before the first task, so that not each worker compiles what no cache holds
+    note : shows what `preload` says
 
     Use it as a context manager. A Ray that is up already is used as it is and left running.
     """
 
     def __init__(
-        self, workers: int | None = None, address: str | None = None, init: Mapping[str, Any] | None = None
+        self,
+        workers: int | None = None,
+        address: str | None = None,
+        init: Mapping[str, Any] | None = None,
+        preload: Preload = NOTHING,
+        note: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._asked = workers
         self._cpus = workers or os.cpu_count() or 1
         self._address = address
         self._init = dict(init or {})
+        self._preload = preload
+        self._note = note
+        self._prepared = False
         self._owner = False
         self._node: RayNode | None = None
         self._guard: Guard | None = None
@@ -134,25 +143,35 @@ class RayExecutor:
         dispatch = self._dispatch
         return [] if dispatch is None else dispatch.busy()
 
+    def prepare(self, seconds: float) -> None:
+        if not self._prepared:
+            self._preload.load(self._note)
+            self._prepared = True
+
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         stream = iter(tasks)
         first = next(stream, None)
-        if first is not None:  # else Ray is not started for nothing
-            yield from self._dispatched(context, work_task).units(itertools.chain([first], stream))
+        if first is None:
+            return  # Ray is not started for nothing
+        for done, receipt in enumerate(self._dispatched(context).units(itertools.chain([first], stream)), 1):
+            if self._guard is not None:
+                self._guard.done(done)
+            yield receipt
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
         stream = iter(jobs)
         first = next(stream, None)
         if first is not None:
-            yield from self._dispatched(context, pack_task).packs(itertools.chain([first], stream))
+            yield from self._dispatched(context).packs(itertools.chain([first], stream))
 
-    def _dispatched(self, context: RunContext, function: Any) -> Dispatch:
+    def _dispatched(self, context: RunContext) -> Dispatch:
         self.start()
         joined = self._address is not None
         with self._alive().answers():
             # A Ray that was started here has as many CPUs as were asked for; on another the tasks are counted.
             most = self._asked if joined else None
-            self._dispatch = Dispatch(context, function, self._alive(), self._guard, grows=joined, most=most)
+            crew = RayCrew(context, self._alive(), grows=joined, most=most)
+            self._dispatch = Dispatch(context, crew, RunMetrics())
         return self._dispatch
 
     def _alive(self) -> RayNode:

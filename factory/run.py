@@ -18,7 +18,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -114,7 +114,6 @@ def run(
     revision: str = "",
     part_bytes: int = PART_BYTES,
     faults: str = "",
-    before_work: Callable[[], None] = lambda: None,
 ) -> RunReport:
     """Bring ``ref`` up to date with ``units``.
 
@@ -128,7 +127,6 @@ def run(
     revision : recorded in every commit, never keyed
     part_bytes : canonical bytes of one published file, see ``factory.packing``
     faults : a ``FaultPlan``, for tests
-    before_work : called once before the first unit is worked on, and not at all if there is nothing to do
 
     When another run publishes under ``ref`` meanwhile, that one stands, and the report's message says so. Raises
     ``StoreError`` when the store refuses (what was committed stays), ``KeyboardInterrupt`` on Ctrl-C and on SIGTERM.
@@ -150,7 +148,6 @@ def run(
             revision=revision,
             part_bytes=part_bytes,
             faults=faults,
-            before_work=before_work,
             stop=stop,
         ).go(units)
 
@@ -171,9 +168,7 @@ class _Run:
     revision: str
     part_bytes: int
     faults: str
-    before_work: Callable[[], None]
     stop: threading.Event
-    begun: bool = False
     report: RunReport = field(default_factory=RunReport)
     failed: set[tuple[str, str]] = field(default_factory=set)
     """(stage, key) of what failed in this run; a later pass does not try it again."""
@@ -329,10 +324,9 @@ class _Run:
     def _work(self, work: WorkSpool, until: int, phase: str) -> Iterator[Receipt]:
         """Yield the receipts of all units in ``work`` as they come, and count them."""
         self.report.counts["total"] = max(self.report.counts["total"], len(work))
-        if len(work) and not self.begun:
-            self.begun = True
-            self.before_work()
         queue = tasks(work, until, self.executor.workers)
+        if len(work):
+            self.executor.prepare(queue.seconds)
         workers = min(self.executor.workers_for(queue.seconds), max(len(work), 1))
         self.progress.phase(phase, len(work), queue.seconds, workers)
         receipts = self.executor.run(self._context(), queue)

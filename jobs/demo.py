@@ -40,7 +40,7 @@ def run_demo(out: Path, *, scenes: int, seed: int, workers: int | None, console:
     evaluate them. Returns the exit code.
 
     scenes : over all families together
-    workers : number of Ray workers; 0 = run in this process; None = one for each core
+    workers : number of worker processes; 0 = run in this process; None = one for each core
     """
     began = time.monotonic()
     out = out.resolve()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
@@ -12,6 +12,8 @@ from rich.console import Console
 from factory.auto_executor import AutoExecutor
 from factory.executor import Executor, InlineExecutor
 from factory.machine import slowness
+from factory.preload import NOTHING, Preload
+from factory.process_executor import ProcessExecutor
 from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.unit import Unit
@@ -24,12 +26,15 @@ from jobs.pipeline import build_pipeline
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section
 from jobs.store_lock import alone_in_store
-from jobs.warm_up import BUILDER, GENERATED_WITH, load_kernels
+from jobs.warm_up import BUILDER, GENERATED_WITH
 from jobs.workspace import git_revision, local_state, open_store, published
 from schemas.config import Config, RayConfig
 from schemas.errors import CorruptShardError, SmallerExportError
 
 __all__ = ["CompilationNote", "add_export", "bring_up_to_date", "open_executor", "run_generate", "run_report"]
+
+LOCAL: Final = "local"
+"""Value of `ray.address` with which Ray is started on this machine."""
 
 SHOWN_FAILURES: Final = 20
 """Number of quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
@@ -90,16 +95,13 @@ def bring_up_to_date(
     verify : read every file again that what is published rests on, and make those again that differ from their hash
     """
 
-    def load() -> None:
-        # Compiled once before, so that not each worker compiles them.
-        builds = any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units)
-        load_kernels(CompilationNote(console), GENERATED_WITH | {BUILDER} if builds else GENERATED_WITH)
-
+    builds = any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units)
+    kernels = sorted(GENERATED_WITH | {BUILDER} if builds else GENERATED_WITH)
     store = open_store(config)
     with (
         RunProgress(console) as bar,
         LoggedRun(store, local_state(config.store), bar) as log,
-        open_executor(config.ray, inline, bar.note) as executor,
+        open_executor(config.ray, inline, bar.note, kernels, CompilationNote(console)) as executor,
     ):
         done = run(
             build_pipeline(config),
@@ -115,7 +117,6 @@ def bring_up_to_date(
             memory=None if config.ray.memory_gib is None else int(config.ray.memory_gib * 2**30),
             verify=verify,
             revision=git_revision(),
-            before_work=load,
         )
         log.keep(done)
     return done
@@ -163,21 +164,48 @@ class CompilationNote:
 
 
 @contextmanager
-def open_executor(ray: RayConfig, inline: bool, say: Callable[[str], None]) -> Iterator[Executor]:
-    """Open what runs the tasks: this process, or Ray with the configured workers or cluster. `say` shows a message."""
+def open_executor(
+    ray: RayConfig,
+    inline: bool,
+    say: Callable[[str], None],
+    kernels: Sequence[str] = (),
+    compiling: Callable[[str], None] = lambda _: None,
+) -> Iterator[Executor]:
+    """Open what runs the tasks: this process, worker processes of this machine, or Ray.
+
+    say : shows a message
+    kernels : groups of kernels that the tasks need (``jobs.warm_up``)
+    compiling : shows a message about their compilation
+    """
+    preload = Preload("jobs.warm_up", "load_kernels", (list(kernels),)) if kernels else NOTHING
     if inline:
-        yield InlineExecutor()
+        yield InlineExecutor(preload, compiling)
+        return
+    if ray.address is None and not _ray_is_up():
+        with ProcessExecutor(ray.workers, preload, compiling) as processes:
+            # Who names a number of workers gets them; else they must pay for their own start.
+            asked = ray.workers is not None
+            yield processes if asked else AutoExecutor(InlineExecutor(preload, compiling), processes, say)
         return
     from factory.ray_executor import RayExecutor
 
     # Ray tells of lost nodes on standard output, in the middle of a line if need be; that one is the report's.
     with (
         redirect_stdout(sys.stderr),
-        RayExecutor(workers=ray.workers, address=ray.address) as cluster,
+        RayExecutor(
+            workers=ray.workers,
+            address=None if ray.address == LOCAL else ray.address,
+            preload=preload,
+            note=compiling,
+        ) as cluster,
     ):
-        # Who names workers or a cluster gets them; else Ray must pay for its own start.
-        asked = ray.address is not None or ray.workers is not None
-        yield cluster if asked else AutoExecutor(cluster, say=say)
+        yield cluster
+
+
+def _ray_is_up() -> bool:
+    """Return whether this process has started or joined a Ray itself; then that one is meant to be used."""
+    module = sys.modules.get("ray")
+    return module is not None and bool(module.is_initialized())
 
 
 def run_report(done: RunReport) -> Report:

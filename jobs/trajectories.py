@@ -49,7 +49,6 @@ from jobs.trajectory_progress import Speed, plan_lines
 from jobs.trajectory_recipe import Comparison, encoder_lines, recipe_target, recipe_units, scene_files
 from jobs.trajectory_request import STATE, Request, refuse_links, refuse_strangers, trajectory_config
 from jobs.trajectory_units import Target, estimate, find_target, list_units
-from jobs.warm_up import load_kernels
 from jobs.workspace import git_revision, hasher
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import StoreError, UsageError
@@ -77,6 +76,9 @@ WRITTEN: Final = (*RECIPE_FILES, ANNOTATIONS, RECIPE, *LAYOUTS[1:], f"navila/{AN
 """Files and folders that are written under another name until they are complete, beside the folders of images."""
 
 REF: Final = "trajectories"
+
+KERNELS: Final = ("paths", "follower", "cameras", "depth images", "pixel goals")
+"""Groups of kernels that walks and images need (``jobs.warm_up``)."""
 
 _STAGE_OF: Final = {"trajectories": "walks", "left_out": "walks", "poses": "frames"}
 _LIBRARIES: Final = ("isal", "numba", "numpy", "pillow", "pyarrow", "simplejpeg")
@@ -177,14 +179,13 @@ class _Run:
         clear_parts(self.folder, WRITTEN)
         pipeline = self._pipeline(state)
         forget_damaged(store, self.folder, state)
-        load_kernels(CompilationNote(self.console), {"paths", "follower", "cameras", "depth images", "pixel goals"})
         ray = self.work.target.config.ray
         if self.request.workers is not None:
             ray = ray.model_copy(update={"workers": self.request.workers})
         with (
             RunProgress(self.console) as bar,
             LoggedRun(store, state, Speed(bar, Commits(store), self.console)) as log,
-            open_executor(ray, self.request.inline, bar.note) as executor,
+            open_executor(ray, self.request.inline, bar.note, KERNELS, CompilationNote(self.console)) as executor,
         ):
             done = run(
                 pipeline,

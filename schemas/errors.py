@@ -150,6 +150,12 @@ class ClusterError(CondVLNError):
     """
 
 
+class WorkerError(CondVLNError):
+    """A worker process of this machine died. Its unit is tried again, alone; after several deaths it is quarantined."""
+
+    exit_code = 3
+
+
 class StageError(CondVLNError):
     """A stage's output is not what the stage declared. The unit is quarantined; the stage needs a fix."""
 

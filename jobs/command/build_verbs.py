@@ -18,7 +18,7 @@ def demo(
     scenes: Annotated[int, typer.Option(min=1, help="number of synthetic apartments, over all formats")] = 12,
     seed: Annotated[int, typer.Option(help="seed of all random choices")] = 0,
     workers: Annotated[
-        int | None, typer.Option(min=0, help="number of Ray workers; 0 = run in this process, without Ray")
+        int | None, typer.Option(min=0, help="number of worker processes; 0 = run in this process")
     ] = None,
 ) -> None:
     """Run everything on synthetic scenes in four formats: generate, export, verify, walk, evaluate. Takes minutes."""

@@ -35,7 +35,7 @@ RefName = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document instead of text")]
 
-Inline = Annotated[bool, typer.Option("--inline", help="run in this process, without Ray")]
+Inline = Annotated[bool, typer.Option("--inline", help="run in this process, without workers")]
 RetryQuarantined = Annotated[bool, typer.Option("--retry-quarantined", help="try quarantined scenes again")]
 RenewPriors = Annotated[bool, typer.Option("--priors", help="renew the label priors")]
 

@@ -78,7 +78,7 @@ def trajectories(
     ] = None,
     navmesh_root: NavmeshRoots = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="number of Ray workers; by default as many as the work needs")
+        int | None, typer.Option(min=1, help="number of worker processes; by default as many as the work needs")
     ] = None,
     inline: Inline = False,
     plan: Annotated[bool, typer.Option("--plan", help="only print what would be made and what it would cost")] = False,

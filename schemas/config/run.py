@@ -163,23 +163,27 @@ class LimitsConfig(Section):
 
 
 class RayConfig(Section):
-    """How a run uses Ray."""
+    """Where a run works: in processes of this machine, or on Ray."""
 
     workers: int | None = Field(
         None,
         ge=1,
-        description="number of Ray workers, however small the work is (1: one process besides this one); with "
-        "an address, the maximum number of tasks in flight; none = every core or the whole "
-        "cluster, and work too small for Ray is done in this process",
+        description="number of worker processes, however small the work is (1: one besides this one); with the "
+        "address of a cluster, the maximum number of tasks in flight; none = every core or the whole cluster, and "
+        "small work is done in this process",
     )
-    address: str | None = Field(None, description="ray:// or host:port of a cluster; none = this machine")
+    address: str | None = Field(
+        None,
+        description="of a Ray cluster: ray:// or host:port, or auto; local = a Ray started on this machine; none = "
+        "processes of this machine, without Ray",
+    )
     max_failures: Share = Field(
         0.5, description="maximum share of scenes that may fail; with more, the run is stopped (exit code 4)"
     )
     deadline_seconds: Seconds = Field(
         1800.0,
         description="maximum wall time of one scene; while a scene runs compiled code, it can be "
-        "stopped only in a Ray worker",
+        "stopped only in a worker process",
     )
     memory_gib: float | None = Field(
         None,

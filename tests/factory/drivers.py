@@ -16,6 +16,7 @@ import toys
 
 from factory import InlineExecutor, open_store, run
 from factory.executor import Executor
+from factory.process_executor import ProcessExecutor
 from factory.ray_executor import RayExecutor
 
 COUNT = 60
@@ -31,7 +32,8 @@ def main() -> None:
     """Run once and print the report as JSON."""
     parser = argparse.ArgumentParser()
     parser.add_argument("store")
-    parser.add_argument("--workers", type=int, default=0, help="0: inline")
+    parser.add_argument("--workers", type=int, default=0, help="of Ray's; 0: inline")
+    parser.add_argument("--processes", type=int, default=0, help="without Ray; 0: inline")
     parser.add_argument("--nodes", type=int, default=0, help="of one CPU each, behind a head without any")
     parser.add_argument("--lose", action="store_true", help="lose a node once units are running, gain another")
     parser.add_argument("--shuffle", type=int, default=0)
@@ -53,8 +55,10 @@ def drive(options: argparse.Namespace) -> dict[str, Any]:
         executor = cluster(options.nodes, Path(options.log) if options.lose else None)
     elif options.workers:
         executor = RayExecutor(workers=options.workers)
+    elif options.processes:
+        executor = ProcessExecutor(workers=options.processes)
     report = run(toys.pipeline(), units, open_store(options.store), executor=executor, part_bytes=2000)
-    if isinstance(executor, RayExecutor):
+    if isinstance(executor, RayExecutor | ProcessExecutor):
         executor.close()
     if options.nodes:
         import ray

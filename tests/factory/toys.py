@@ -78,6 +78,9 @@ def misbehave(unit: Unit) -> None:
         np.zeros(1 << 44)
     if what == "die":
         os._exit(11)
+    if what == "abort":  # as a failed assertion of C++ code does
+        os.write(2, b"a word of compiled code\n")
+        os.abort()
     if what == "full":
         raise OSError(28, "No space left on device")
     # Troubles that end: the named file counts how often they struck.

@@ -127,7 +127,9 @@ def test_what_ray_says_is_not_in_the_report(
         return executor
 
     monkeypatch.setattr(RayExecutor, "__enter__", enter)
-    result = runner.invoke(app, ["generate", str(written(made_run[0], tmp_path)), "--json"])
+    result = runner.invoke(
+        app, ["generate", str(written(made_run[0], tmp_path)), "--json", "--set", "ray.address=local"]
+    )
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["snapshot_id"] == made_run[1].document["snapshot_id"]
     assert "(raylet) Raylet is terminated." in result.stderr

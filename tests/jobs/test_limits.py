@@ -14,7 +14,7 @@ import pytest
 from condvln.compiled import warm_up
 from condvln.samples import make_samples
 from factory import machine
-from factory.ray_executor import RayExecutor
+from factory.process_executor import ProcessExecutor
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import published
@@ -99,7 +99,6 @@ def corpus(root: Path, small: int, *huge: int) -> Path:
 
 
 @pytest.mark.soak
-@pytest.mark.ray
 @pytest.mark.parametrize("workers", [0, 2])
 def test_rooms_of_ten_and_fifty_thousand_objects_leave_58_scenes_published(
     tmp_path: Path, configured: Callable[..., Config], workers: int
@@ -111,7 +110,7 @@ def test_rooms_of_ten_and_fifty_thousand_objects_leave_58_scenes_published(
     warm_up(lambda _: None)
     with Peaks() as peaks:
         if workers:
-            report = generated_by_ray(config, workers)
+            report = generated_by_workers(config, workers)
         else:
             report = run_generate(config, inline=True)
     counts = report.document["counts"]
@@ -129,13 +128,13 @@ def test_rooms_of_ten_and_fifty_thousand_objects_leave_58_scenes_published(
     assert len(scenes) == 58
 
 
-def generated_by_ray(config: Config, workers: int) -> Report:
-    """A run on Ray, however small its estimate."""
+def generated_by_workers(config: Config, workers: int) -> Report:
+    """A run of worker processes, however small its estimate."""
 
     @contextlib.contextmanager
-    def executor(*_: object, **__: object) -> Iterator[RayExecutor]:
-        with RayExecutor(workers=workers) as ray:
-            yield ray
+    def executor(*_: object, **__: object) -> Iterator[ProcessExecutor]:
+        with ProcessExecutor(workers=workers) as processes:
+            yield processes
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("jobs.generate.open_executor", executor)

@@ -44,7 +44,7 @@ def houses(tmp_path_factory: pytest.TempPathFactory) -> Config:
 @pytest.fixture
 def corpus(houses: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
     """A copy of it to damage."""
-    monkeypatch.setattr("jobs.generate.load_kernels", lambda *arguments, **settings: None)
+    monkeypatch.setattr("jobs.warm_up.load_kernels", lambda *arguments, **settings: None)
     assert houses.export is not None
     shutil.copytree(houses.store, tmp_path / "store")
     shutil.copytree(houses.export, tmp_path / "export")

@@ -13,6 +13,7 @@ from factory import LocalStore, RunReport
 from factory.auto_executor import AutoExecutor
 from factory.executor import InlineExecutor
 from factory.heartbeat import Busy
+from factory.process_executor import ProcessExecutor
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt, StageReceipt
 from factory.report import Silence
@@ -104,8 +105,9 @@ def test_a_log_says_what_is_left_and_which_unit_takes_long() -> None:
     ("ray", "inline", "kind"),
     [
         ({}, False, AutoExecutor),
-        ({"workers": 1}, False, RayExecutor),
-        ({"workers": 2}, False, RayExecutor),
+        ({"workers": 1}, False, ProcessExecutor),
+        ({"workers": 2}, False, ProcessExecutor),
+        ({"workers": 2, "address": "local"}, False, RayExecutor),
         ({"address": "auto"}, False, RayExecutor),
         ({"workers": 3, "address": "auto"}, False, RayExecutor),
         ({"workers": 2}, True, InlineExecutor),
@@ -124,5 +126,5 @@ def test_the_executor_is_the_one_configured(
     said: list[str] = []
     with open_executor(config.ray, inline, said.append) as executor:
         assert type(executor) is kind
-        if isinstance(executor, RayExecutor) and "workers" in ray:
+        if isinstance(executor, RayExecutor | ProcessExecutor) and "workers" in ray:
             assert executor.workers == ray["workers"]

@@ -56,7 +56,7 @@ def first(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
 def corpus(first: tuple[Config, Report], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
     """A copy of it to change, without an export."""
     # These scenes are too small for compiling ahead.
-    monkeypatch.setattr("jobs.generate.load_kernels", lambda *arguments, **settings: None)
+    monkeypatch.setattr("jobs.warm_up.load_kernels", lambda *arguments, **settings: None)
     config, _ = first
     for name in ("dataset", "store"):
         shutil.copytree(folder_of(config).parent / name, tmp_path / name)

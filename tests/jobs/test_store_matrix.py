@@ -51,7 +51,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Built]:
         instructions=InstructionsConfig(per_category={"simple": 2}),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jobs.generate.load_kernels", lambda *arguments, **settings: None)
+        patch.setattr("jobs.warm_up.load_kernels", lambda *arguments, **settings: None)
         scenes = [unit.unit_id.split("/", 1)[1] for unit in listed_units(config)]
         yield Built.make(folder, config, scenes)
     print(f"\nstore matrix: {sum(outcomes.values())} cases here")

@@ -160,9 +160,9 @@ def test_kernels_are_loaded_only_before_work(tmp_path: Path, monkeypatch: pytest
         instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 1)),
     )  # fmt: skip
     asked: list[Collection[str]] = []
-    monkeypatch.setattr("jobs.generate.load_kernels", lambda note, groups: asked.append(groups))
+    monkeypatch.setattr("jobs.warm_up.load_kernels", lambda note, groups: asked.append(groups))
     assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
-    assert asked == [GENERATED_WITH]
+    assert asked == [sorted(GENERATED_WITH)]
     assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
     assert len(asked) == 1
 

@@ -1,0 +1,311 @@
+"""Worker processes of this machine, without Ray: forked from a template that has loaded what they need."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, Pipe, wait
+from typing import IO, Any, Final
+
+from factory import machine
+from factory.context import RunContext
+from factory.dispatch import Job, Lost, Returned
+from factory.heartbeat import Busy
+from factory.memory import SHARE
+from factory.preload import Preload
+from factory.worker_template import FORK
+from schemas.errors import ClusterError, WorkerError
+
+__all__ = ["ProcessCrew", "Processes"]
+
+CHILD: Final = """
+import json, sys
+control, sys.path[:], *preload = json.loads(sys.argv[1])
+from factory.preload import Preload
+from factory.worker_template import run_template
+run_template(control, Preload(*preload))
+"""
+"""Run by a Python that reads neither the environment nor the working folder, so that it imports what this process does,
+and not the main module of whoever calls this package."""
+
+REMEDY: Final = (
+    "Run the same command again: it goes on from what is committed. If this happens again, look for the cause in the "
+    "system's log (out of memory?), or set fewer ray.workers."
+)
+
+LAST_WORDS: Final = 1500
+"""Characters of what a worker printed that are quoted when it died."""
+
+LOG_BYTES: Final = 1 << 16
+"""Bytes of a dead worker's log that are searched for its last words."""
+
+_DUMP: Final = re.compile(r"^(Fatal Python error|Timeout \()", re.MULTILINE)
+"""Where Python begins to tell where a process stood that was ended."""
+
+END_SECONDS: Final = 20.0
+"""Seconds that the template has to end its workers and itself."""
+
+
+@dataclass(slots=True)
+class _Process:
+    """A worker process, as the driver knows it.
+
+    serves : name of the crew whose context the worker has
+    job : name and job that it has in hand
+    """
+
+    connection: Connection
+    log: IO[bytes]
+    number: int = 0
+    serves: int = -1
+    job: tuple[int, Job, int, bool] | None = None
+    busy: tuple[str, str, float] | None = None
+
+
+class Processes:
+    """The worker processes of an executor and their template, which live until ``end``.
+
+    note : shows what the template says while it loads
+    environment : variables set for the template and its workers
+    """
+
+    def __init__(self, preload: Preload, note: Callable[[str], None], environment: Mapping[str, str]) -> None:
+        self.all: list[_Process] = []
+        self._rest = b""
+        self._ended: dict[int, int] = {}
+        ours, theirs = socket.socketpair()
+        path = [entry for entry in sys.path if isinstance(entry, str)]
+        told = json.dumps([theirs.fileno(), path, preload.module, preload.function, preload.arguments])
+        try:
+            self._template = subprocess.Popen(
+                [sys.executable, "-I", "-c", CHILD, told],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                env={**os.environ, **environment},
+                pass_fds=[theirs.fileno()],
+                # Not reached by Ctrl-C, which is the driver's to handle.
+                start_new_session=True,
+            )
+        except BaseException:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._line = ours
+        try:
+            while "ready" not in (message := self._next(None)):
+                if "note" in message:
+                    note(message["note"])
+                if "failed" in message:
+                    raise pickle.loads(bytes.fromhex(message["failed"]))
+        except BaseException:
+            self.end()
+            raise
+
+    @property
+    def template(self) -> int:
+        """Return the number of the template's process."""
+        return self._template.pid
+
+    def _next(self, seconds: float | None) -> dict[str, Any]:
+        """Return the next message of the template; nothing if none came within so many seconds."""
+        limit = None if seconds is None else time.monotonic() + seconds
+        while b"\n" not in self._rest:
+            left = None if limit is None else max(limit - time.monotonic(), 0.0)
+            if not wait([self._line], left):
+                return {}
+            found = self._line.recv(65536)
+            if not found:
+                raise ClusterError("the process that starts workers has ended", remedy=REMEDY)
+            self._rest += found
+        line, _, self._rest = self._rest.partition(b"\n")
+        message: dict[str, Any] = json.loads(line)
+        if "ended" in message:
+            self._ended[message["ended"]] = message["signal"]
+        return message
+
+    def check(self) -> None:
+        """Read what the template has to say. Raises ``ClusterError`` if it is gone."""
+        while self._next(0.0):
+            pass
+
+    def fork(self) -> _Process:
+        """Start one more worker."""
+        ours, theirs = Pipe()
+        log = tempfile.TemporaryFile("a+b", buffering=0)  # noqa: SIM115 - open as long as the worker lives
+        with theirs:
+            try:
+                socket.send_fds(self._line, [FORK], [theirs.fileno(), log.fileno()])
+            except OSError as error:
+                raise ClusterError("the process that starts workers has ended", remedy=REMEDY) from error
+        process = _Process(ours, log)
+        self.all.append(process)
+        while not process.number:
+            process.number = self._next(None).get("began", 0)
+        return process
+
+    def bury(self, process: _Process) -> WorkerError:
+        """Take note that a worker has died; return the error that tells how."""
+        limit = time.monotonic() + 2.0
+        while process.number not in self._ended and time.monotonic() < limit:
+            self._next(0.1)
+        number = self._ended.pop(process.number, 0)
+        how = f"signal {signal.Signals(number).name}" if number else "an exit of its own"
+        size = os.fstat(process.log.fileno()).st_size
+        words = _last_words(os.pread(process.log.fileno(), LOG_BYTES, max(size - LOG_BYTES, 0)))
+        self._forget(process)
+        return WorkerError(f"the worker ended by {how}" + (f"; its last words were: {words}" if words else ""))
+
+    def kill(self, process: _Process) -> None:
+        """End a worker whatever it does."""
+        self.check()
+        if process.number not in self._ended:  # else another process may have its number by now
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process.number, signal.SIGKILL)
+        self.bury(process)
+
+    def _forget(self, process: _Process) -> None:
+        self.all.remove(process)
+        process.connection.close()
+        process.log.close()
+
+    def end(self) -> None:
+        """End the workers and the template."""
+        for process in [*self.all]:
+            self._forget(process)
+        self._line.close()
+        # It listens while it serves; while it still loads, only a signal stops it.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._template.wait(0.5)
+        self._template.terminate()
+        try:
+            self._template.wait(END_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._template.kill()
+            self._template.wait()
+
+
+@dataclass
+class ProcessCrew:
+    """The workers of one dispatch: at most `most` processes, which get the dispatch's context when they are first used.
+
+    A job begins when a process and its memory are free, in the order in which jobs were sent.
+    """
+
+    context: RunContext
+    processes: Processes
+    most: int
+    number: int
+    """Name of this crew among those of its executor."""
+    _waiting: deque[tuple[int, Job, int, bool]] = field(default_factory=deque)
+    _sent: int = 0
+
+    def __post_init__(self) -> None:
+        self._shipped = pickle.dumps((self.context, self.most))
+        self._memory = int(SHARE * machine.memory_available()) or sys.maxsize
+
+    def room(self) -> int:
+        """Return how many jobs may be in flight."""
+        return self.most
+
+    def busy(self) -> list[Busy]:
+        """Return the units that workers reported as taking long."""
+        found = [process.busy for process in [*self.processes.all]]
+        return [Busy(*busy, endable=True) for busy in found if busy is not None]
+
+    def send(self, job: Job, memory: int, *, alone: bool) -> int:
+        """Hand out a job; return its number."""
+        self._sent += 1
+        self._waiting.append((self._sent, job, min(memory, self._memory), alone))
+        self._begin()
+        return self._sent
+
+    def _begin(self) -> None:
+        """Begin those jobs for which there is room."""
+        while self._waiting:
+            working = [process.job for process in self.processes.all if process.job is not None]
+            _, _, memory, alone = self._waiting[0]
+            if working and (
+                alone
+                or len(working) >= self.most
+                or working[0][3]
+                or memory + sum(other[2] for other in working) > self._memory
+            ):
+                return
+            self._give(self._waiting.popleft())
+
+    def _give(self, item: tuple[int, Job, int, bool]) -> None:
+        content = pickle.dumps(item[1])
+        while True:
+            process = next((p for p in self.processes.all if p.job is None), None) or self.processes.fork()
+            try:
+                if process.serves != self.number:
+                    process.connection.send(("context", self._shipped))
+                    process.serves = self.number
+                process.log.truncate(0)  # what was printed for other jobs
+                process.connection.send(("job", content))
+            except OSError:
+                self.processes.bury(process)  # it died while it had nothing to do
+                continue
+            process.job = item
+            return
+
+    def returned(self, flying: Sequence[int]) -> list[tuple[int, Returned]]:
+        """Wait up to a second; return (number, result) of the jobs that came back."""
+        self.processes.check()
+        by_connection = {process.connection: process for process in self.processes.all}
+        found: list[tuple[int, Returned]] = []
+        for connection in wait([*by_connection], 1.0):
+            process = by_connection[connection]  # type: ignore[index]
+            item = process.job
+            result = self._read(process)
+            if item is not None and result is not None:
+                found.append((item[0], result))
+        self._begin()
+        return found
+
+    def _read(self, process: _Process) -> Returned | None:
+        """Read one message of a worker; None if no job came back with it."""
+        try:
+            kind, content = process.connection.recv()
+        except (EOFError, OSError):
+            return Lost(self.processes.bury(process), "worker")
+        found = pickle.loads(content)
+        if kind == "busy":
+            process.busy = found
+            return None
+        process.job = process.busy = None
+        if kind == "raised":
+            return Lost(found, "raised")
+        done: Returned = found
+        return done
+
+    def left(self, flying: Sequence[int]) -> None:
+        """End the workers that still have a job in hand: nobody waits for it. What they committed stays."""
+        self._waiting.clear()
+        for process in [*self.processes.all]:
+            if process.job is not None:
+                self.processes.kill(process)
+
+
+def _last_words(log: bytes) -> str:
+    """Return the end of what a worker printed; where Python told where it stood, the beginning of that, and what came
+    before.
+    """
+    text = log.decode("utf-8", "replace").partition("\n\nExtension modules:")[0]
+    dump = _DUMP.search(text)
+    if dump is None:
+        return text[-LAST_WORDS:].strip()
+    return text[max(dump.start() - LAST_WORDS // 2, 0) : dump.start() + LAST_WORDS].strip()

@@ -1,0 +1,268 @@
+"""What is particular to worker processes of this machine: how they start, share memory, and end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import toys
+from hypothesis import given
+from hypothesis import strategies as st
+
+from factory import LocalStore, run
+from factory.commits import Commits
+from factory.context import RunContext
+from factory.preload import Preload
+from factory.process_crew import ProcessCrew, Processes
+from factory.process_executor import ProcessExecutor
+from factory.ray_executor import RayExecutor
+from factory.report import Silence
+from jobs.generate import open_executor
+from schemas.config import RayConfig
+from schemas.errors import ClusterError, FormatError
+from tests.ending import kill_driver
+
+
+def children() -> set[int]:
+    return {child.pid for child in psutil.Process().children(recursive=True)}
+
+
+# ---- loading
+
+
+def loads(note: Callable[[str], None], word: str) -> None:
+    """Run in the template; workers are forked with what this has set."""
+    assert threading.active_count() == 1, "only a process of one thread may be forked"
+    note(f"loading {word}")
+    os.environ["CONDVLN_TEST_LOADED"] = word
+
+
+def fails(note: Callable[[str], None]) -> None:
+    raise FormatError("the cache is damaged", where="kernels", remedy="Remove it.")
+
+
+def test_what_is_preloaded_is_there_in_every_worker(store: LocalStore) -> None:
+    said: list[str] = []
+    with ProcessExecutor(2, Preload(__name__, "loads", ("once",)), said.append) as executor:
+        processes = executor.start()
+        found = [processes.fork(), processes.fork()]
+        for process in found:
+            environment = Path(f"/proc/{process.number}/environ").read_bytes()
+            assert b"NUMBA_NUM_THREADS=1" in environment
+        assert run(toys.pipeline(), toys.units(8), store, executor=executor).exit_code == 0
+    assert said == ["loading once"]
+
+
+def test_an_error_while_loading_is_the_run_s(store: LocalStore) -> None:
+    before = children()
+    with (
+        pytest.raises(FormatError, match="the cache is damaged"),
+        ProcessExecutor(2, Preload(__name__, "fails")) as executor,
+    ):
+        run(toys.pipeline(), toys.units(4), store, executor=executor)
+    assert children() == before
+
+
+def test_kernels_are_loaded_before_a_fork_and_leave_one_thread() -> None:
+    """Forking a process of several threads could leave a lock held for ever. The thread with which Arrow's allocator
+    cleans up is no danger: the allocator takes its locks before a fork and frees them in the child.
+    """
+    with open_executor(RayConfig(workers=1), False, lambda _: None, ["json scan", "paths"]) as executor:
+        assert isinstance(executor, ProcessExecutor)
+        processes = executor.start()
+        names = [path.read_text().strip() for path in Path(f"/proc/{processes.template}/task").glob("*/comm")]
+        assert len([name for name in names if name != "jemalloc_bg_thd"]) == 1
+
+
+def test_a_script_without_a_guard_for_its_main_part_works(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(
+        "import toys\n"
+        "from factory import LocalStore, run\n"
+        "from factory.process_executor import ProcessExecutor\n"
+        "print('once')\n"
+        "with ProcessExecutor(2) as executor:\n"
+        f"    store = LocalStore({str(tmp_path / 'store')!r})\n"
+        "    report = run(toys.pipeline(), toys.units(9), store, executor=executor)\n"
+        "print(report.exit_code, report.counts['ok'])\n"
+    )
+    path = os.pathsep.join(filter(None, sys.path))
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")],
+        capture_output=True, text=True, timeout=120, check=False, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, "once\n0 8\n"), done.stderr
+
+
+# ---- which executor
+
+
+@pytest.mark.parametrize(
+    ("ray", "kind"), [({"workers": 2}, ProcessExecutor), ({"workers": 2, "address": "local"}, RayExecutor)]
+)
+def test_ray_is_used_where_it_is_named(ray: dict[str, Any], kind: type) -> None:
+    with open_executor(RayConfig(**ray), False, lambda _: None) as executor:
+        assert type(executor) is kind
+
+
+# ---- sharing the machine
+
+
+class Fake:
+    """Stands for a worker's connection and log: takes jobs, and never answers."""
+
+    def send(self, message: object) -> None:
+        """Take it."""
+
+    def truncate(self, size: int) -> None:
+        """As a log."""
+
+
+class FakeProcesses(Processes):
+    """Processes that start at once and do nothing."""
+
+    def __init__(self) -> None:
+        self.all = []
+
+    def fork(self) -> Any:
+        from factory.process_crew import _Process
+
+        process = _Process(Fake(), Fake(), number=len(self.all) + 1)  # type: ignore[arg-type]
+        self.all.append(process)
+        return process
+
+
+@given(
+    jobs=st.lists(st.tuples(st.integers(0, 150), st.booleans()), max_size=20),
+    most=st.integers(1, 4),
+    order=st.randoms(use_true_random=False),
+)
+def test_jobs_begin_in_their_order_as_far_as_processes_and_memory_go(
+    jobs: list[tuple[int, bool]], most: int, order: Any
+) -> None:
+    processes = FakeProcesses()
+    crew = ProcessCrew(RunContext(toys.pipeline(), LocalStore("nowhere")), processes, most, 0)
+    crew._memory = 100
+    begun: list[int] = []
+    for memory, alone in jobs:
+        crew.send((memory, alone), memory, alone=alone)  # type: ignore[arg-type]
+    while True:
+        working = [process.job for process in processes.all if process.job is not None]
+        begun += [job[0] for job in working if job[0] not in begun]
+        assert len(working) <= most
+        assert sum(job[2] for job in working) <= 100 or len(working) == 1
+        assert len(working) == 1 or not any(job[3] for job in working)
+        if not working:
+            break
+        done = order.choice([process for process in processes.all if process.job is not None])
+        done.job = None
+        crew._begin()
+    assert begun == [*range(1, len(jobs) + 1)], "none overtakes another, and none is left waiting"
+
+
+# ---- ends
+
+
+class Interrupts(Silence):
+    """Raises when the first receipt comes."""
+
+    def unit(self, receipt: object) -> None:
+        raise KeyboardInterrupt
+
+
+def test_a_stopped_run_leaves_no_worker_at_work_and_the_next_goes_on(store: LocalStore, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.mkdir()
+    before = children()
+    units = [*toys.units(6, log=str(log)), toys.unit("a/slow", 4, seconds=600.0, cost=1.0)]
+    with ProcessExecutor(2) as executor:
+        with pytest.raises(KeyboardInterrupt):
+            run(toys.pipeline(), units, store, executor=executor, progress=Interrupts())
+        assert all(process.job is None for process in executor.start().all)
+        report = run(toys.pipeline(), units[:-1], store, executor=executor)
+        assert (report.exit_code, report.counts["ok"] + report.counts["skipped"]) == (0, 6)
+    assert children() == before
+
+
+def test_a_lost_template_ends_the_run_with_a_word(store: LocalStore) -> None:
+    """What was committed stays, and a new executor goes on from it."""
+
+    class Kills(Silence):
+        def unit(self, receipt: object) -> None:
+            if processes.template in children():
+                os.kill(processes.template, signal.SIGKILL)
+
+    units = toys.units(20, seconds=0.1)
+    with ProcessExecutor(2) as executor:
+        processes = executor.start()
+        with pytest.raises(ClusterError, match=r"starts workers has ended. \d+ of the 20 units of this pass were done"):
+            run(toys.pipeline(), units, store, executor=executor, progress=Kills())
+    with ProcessExecutor(2) as executor:
+        report = run(toys.pipeline(), units, store, executor=executor)
+    assert (report.exit_code, report.counts["total"]) == (0, 20)
+
+
+def test_what_a_dead_worker_printed_is_in_its_record(store: LocalStore) -> None:
+    with ProcessExecutor(2) as executor:
+        report = run(toys.pipeline(), [*toys.units(3), toys.unit("a/x", 4, trouble="abort")], store, executor=executor)
+    (failed,) = report.failures
+    record = Commits(store).quarantine_record("count", failed[1].key.hex())
+    assert record is not None
+    assert (record.cause, record.exception) == ("worker", "WorkerError")
+    assert "3 workers died" in record.message
+    assert "signal SIGABRT" in record.message
+    assert "a word of compiled code" in record.message
+    assert "misbehave" in record.message, "where it stood"
+
+
+def test_a_worker_that_dies_with_nothing_to_do_is_replaced(store: LocalStore) -> None:
+    with ProcessExecutor(2) as executor:
+        assert run(toys.pipeline(), toys.units(4), store, executor=executor).exit_code == 0
+        for process in executor.start().all:
+            os.kill(process.number, signal.SIGKILL)
+        assert run(toys.pipeline(toys.Count(modulus=7)), toys.units(6), store, executor=executor).counts["ok"] > 0
+
+
+@contextmanager
+def driver(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A driver whose workers have begun."""
+    log = folder / "log"
+    log.mkdir()
+    command = [sys.executable, "-m", "drivers", str(folder / "store"), f"--log={log}", "--seconds=0.5"]
+    listen = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen([*command, "--processes=2"], stderr=subprocess.DEVNULL, preexec_fn=listen)
+    try:
+        while len([*log.iterdir()]) < 3:
+            assert process.poll() is None
+            time.sleep(0.02)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_killed_driver_takes_its_workers_along(tmp_path: Path) -> None:
+    with driver(tmp_path) as process:
+        kill_driver(process)
+    report = run(toys.pipeline(), toys.units(60), LocalStore(tmp_path / "store"))
+    assert report.exit_code == 0
+
+
+def test_ctrl_c_at_a_terminal_ends_all_processes(tmp_path: Path) -> None:
+    with driver(tmp_path) as process:
+        left = psutil.Process(process.pid).children(recursive=True)
+        assert len(left) == 3
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+        _, alive = psutil.wait_procs(left, timeout=10)
+        assert not alive
