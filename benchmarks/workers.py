@@ -1,11 +1,12 @@
-"""Two Ray workers beside one, and how much two processes that share nothing do beside one on this machine.
+"""Two workers beside one, and how much two processes that share nothing do beside one on this machine.
 
-Real scenes of a family run from an empty store to published tables: with one worker, with two, and then without Ray:
-half of the scenes in one process, and beside it the other half in another. What the two halves take one after the
-other, divided by what they take side by side, is what the machine allows.
+Real scenes of a family run from an empty store to published tables, with one worker and with two. Then half of the
+scenes run in one process, and beside it the other half in another. What the two halves take one after the other,
+divided by what they take side by side, is what the machine allows.
 
-CONDVLN_BENCH_FAMILIES (``procthor``), CONDVLN_BENCH_SCENES (60, spread evenly) and CONDVLN_BENCH_CATEGORY (80 episodes
-a category) say how much is run. Nothing else should run meanwhile.
+CONDVLN_BENCH_FAMILIES (``procthor``), CONDVLN_BENCH_SCENES (60, spread evenly), CONDVLN_BENCH_CATEGORY (160 episodes a
+category, more than two minutes for one worker) and CONDVLN_BENCH_ADDRESS (none; ``local`` for workers of Ray) say what
+is run. Nothing else should run meanwhile.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ __all__ = ["main"]
 class _Run:
     """What a run took.
 
-    seconds : by the clock, Ray's start included
+    seconds : by the clock, the start of the workers included
     stages : seconds of the stages by the clock, added up over the workers
     driver : CPU seconds of the process that handed out the work, if another did it
     """
@@ -61,10 +62,12 @@ def _configured(family: Family, root: Path, folder: Path, asked: int, scenes: Se
 
 
 def _run(config: Config, workers: int) -> _Run:
-    """Run a configuration from an empty store with Ray workers, or in this process (0)."""
+    """Run a configuration from an empty store with worker processes, or in this process (0)."""
     if not workers:
         warm_up(lambda message: None)
-    config = config.model_copy(update={"ray": RayConfig(workers=workers or None)})
+    config = config.model_copy(
+        update={"ray": RayConfig(workers=workers or None, address=os.environ.get("CONDVLN_BENCH_ADDRESS"))}
+    )
     began, cpu = time.perf_counter(), time.process_time()
     report = run_generate(config, inline=not workers, console=Console(quiet=True))
     seconds, driver = time.perf_counter() - began, time.process_time() - cpu
@@ -88,9 +91,9 @@ def _load(number: int) -> None:
 
 
 def main() -> None:
-    """Print what one worker, two workers, and two processes without Ray take."""
+    """Print what one worker, two workers, and two processes that share nothing take."""
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "60"))
-    asked = int(os.environ.get("CONDVLN_BENCH_CATEGORY", "80"))
+    asked = int(os.environ.get("CONDVLN_BENCH_CATEGORY", "160"))
     table = Table(title=f"{scenes} scenes, {asked} episodes a category")
     columns = ("family", "run", "episodes", "s", "s of stages", "CPU s of the driver", "× one")
     for column in columns:
@@ -122,7 +125,7 @@ def main() -> None:
                 for at_once in (1, 2)
             }
             for at_once, seconds in halves.items():
-                said = "two halves without Ray, " + ("one after the other", "side by side")[at_once - 1]
+                said = "two halves, " + ("one after the other", "side by side")[at_once - 1]
                 table.add_row(family, said, "", f"{seconds:.1f}", "", "", f"{halves[1] / seconds:.2f}")
     Console(width=150).print(table)
 
