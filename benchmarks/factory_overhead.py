@@ -1,4 +1,4 @@
-"""Overhead of the factory: planning and publishing for 10^3 to 10^6 units, and handing work to Ray.
+"""Overhead of the factory: planning and publishing for 10^3 to 10^6 units, and handing work to workers.
 
 Scale is simulated: the driver plans, queues, takes receipts in, composes and publishes as ever, on a real store, while
 an executor makes up the receipts; so the numbers are the driver's own. Each size runs in a fresh process, for its
@@ -54,6 +54,7 @@ from factory.executor import Executor, Task
 from factory.heartbeat import Busy
 from factory.inventory import glance
 from factory.packing import Packed, PackJob
+from factory.process_executor import ProcessExecutor
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt, StageReceipt, TableReceipt
 from schemas.canonical import JSON
@@ -91,6 +92,9 @@ class Simulated:
 
     def workers_for(self, seconds: float) -> int:
         return self.workers
+
+    def prepare(self, seconds: float) -> None:
+        pass
 
     def busy(self) -> list[Busy]:
         return []
@@ -313,13 +317,14 @@ def overhead(console: Console) -> None:
     table = Table("way", "s", "CPU s", "CPU / inline", "speed / 1 worker", title=f"{count} units of {UNIT_SECONDS} s")
     inline = measure_overhead(InlineExecutor(), count, rounds)
     table.add_row("inline", f"{inline[0]:.1f}", f"{inline[1]:.1f}", "1.00", "")
-    alone = 0.0
-    for workers in (1, 2):
-        with RayExecutor(workers=workers) as executor:
-            clock, cpu = measure_overhead(executor, count, rounds)
-        alone = alone or clock
-        row = (f"{clock:.1f}", f"{cpu:.1f}", f"{cpu / inline[1]:.2f}", f"{alone / clock:.2f}")
-        table.add_row(f"{workers} worker{'s' * (workers > 1)}", *row)
+    for kind, name in ((ProcessExecutor, "processes"), (RayExecutor, "workers of Ray")):
+        alone = 0.0
+        for workers in (1, 2):
+            with kind(workers=workers) as executor:
+                clock, cpu = measure_overhead(executor, count, rounds)
+            alone = alone or clock
+            row = (f"{clock:.1f}", f"{cpu:.1f}", f"{cpu / inline[1]:.2f}", f"{alone / clock:.2f}")
+            table.add_row(f"{workers} {name}", *row)
     console.print(table)
 
 
