@@ -10,16 +10,18 @@ import io
 import json
 import struct
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from condvln.formats.distinct_points import distinct_points
 from condvln.formats.gltf_tree import geometry_tree
 from condvln.formats.json_document import MAX_COORDINATE, JsonNode, parse_json
 from schemas.errors import DeadlineError, FormatError
+
+if TYPE_CHECKING:  # slow to import, and needed only to decode a file
+    import trimesh
 
 __all__ = ["MAX_GLB_BYTES", "GlbGeometry", "glb_chunks", "glb_scene", "read_glb"]
 
@@ -74,6 +76,8 @@ def glb_scene(data: bytes, where: str) -> trimesh.Scene:
     ------
     FormatError : as for `read_glb`
     """
+    import trimesh
+
     root, binary = glb_chunks(data, where)
     tree = geometry_tree(root, len(binary))
     try:
