@@ -5,6 +5,7 @@ fast.
 from __future__ import annotations
 
 import hashlib
+import struct
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from itertools import accumulate
@@ -23,6 +24,8 @@ FEW: Final = 32
 
 MOST_AHEAD: Final = 16 * BLOCK
 """Most uniforms drawn at once, unless one kernel call needs more."""
+
+_FEW_WORDS: Final = struct.Struct(f"<{FEW}Q")
 
 T = TypeVar("T")
 
@@ -133,13 +136,15 @@ class FewDraws(Draws):
     def __init__(self, seed: int, *names: object) -> None:
         self._hash = hashlib.shake_256(_text((seed, *names)))
         self._read = 0
-        self._few: list[float] = []
+        self._words: list[int] = []
+        """What was taken ahead for single draws, the next one last."""
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
-        if not self._few:
-            self._few = self.uniforms(FEW)[::-1].tolist()
-        return self._few.pop()
+        if not self._words:
+            begin, self._read = self._read, self._read + FEW
+            self._words = [*_FEW_WORDS.unpack_from(self._hash.digest(8 * self._read), 8 * begin)][::-1]
+        return (self._words.pop() >> 11) * 2.0**-53
 
     def uniforms(self, n: int) -> NDArray[np.float64]:
         """Return `n` floats (n,) in [0, 1). The hash is computed from its beginning each time, so draw many at once."""
