@@ -152,15 +152,19 @@ def _pieces(batches: Iterator[pa.RecordBatch]) -> Iterator[tuple[str, pa.RecordB
             yield scenes[begin].as_py(), batch.slice(begin, end - begin)
 
 
-def rows_by_scene(batches: Iterator[pa.RecordBatch], where: str) -> Iterator[tuple[str, list[Row]]]:
-    """Yield the id of each scene, with all rows of the scene.
+def rows_by_scene(
+    batches: Iterator[pa.RecordBatch], where: str, *, encoded: bool = False
+) -> Iterator[tuple[str, list[Row]]]:
+    """Yield the id of each scene, with all rows of the scene, as :func:`~condvln.export.rows.rows_of` returns them.
 
     Raises
     ------
     StoreError : the scenes are not in ascending order
     """
     last = ""
-    for scene, rows in groupby((row for batch in batches for row in rows_of(batch)), key=lambda row: row["scene_id"]):
+    for scene, rows in groupby(
+        (row for batch in batches for row in rows_of(batch, encoded=encoded)), key=itemgetter("scene_id")
+    ):
         if scene < last:
             raise StoreError(
                 f"scene {scene!r} comes after {last!r}, so the rows are not sorted", where=where, remedy=_REMEDY
@@ -184,7 +188,8 @@ def joined_by_scene(
     columns: Sequence[str] | None = None,
     told: Iterable[tuple[str, list[Row]]] | None = None,
 ) -> Iterator[JoinedScene]:
-    """Yield for each scene its id, its episodes, and its instructions by id. Only one scene at a time is in memory.
+    """Yield for each scene its id, its episodes, whose lists of points are encoded, and its instructions by id. Only
+    one scene at a time is in memory.
 
     told : what :func:`instructions_by_scene` yields, if it is known
 
@@ -194,7 +199,9 @@ def joined_by_scene(
     """
     told = iter(instructions_by_scene(tables, source) if told is None else told)
     scene_told, instructions = "", {}
-    for scene, episodes in rows_by_scene(tables.batches("episodes", source, columns), f"episodes of {source}"):
+    for scene, episodes in rows_by_scene(
+        tables.batches("episodes", source, columns), f"episodes of {source}", encoded=True
+    ):
         while scene_told < scene:
             scene_told, rows = next(told, ("\U0010ffff", []))
             instructions = {row["instruction_id"]: row for row in rows}

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import orjson
 
 from condvln.export.densify import densify
-from condvln.export.rows import Row
+from condvln.export.rows import Points, Row
 from condvln.export.tokens import Vocabulary
 from condvln.formats.streams import JsonArrayStream, atomic_stream
 from condvln.sources.family import FAMILIES
@@ -68,7 +68,6 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
     them, sensors the first one, and with this order both agree at the start.
     """
     leaf = gold(row)
-    radius = row["success_distance"]
     return {
         "episode_id": row["episode_id"],
         "trajectory_id": row["episode_id"],
@@ -76,10 +75,19 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
         "start_position": row["start_position"],
         "start_rotation": row["start_rotation"],
         "info": _info(row, leaf),
-        "goals": [{"position": point, "radius": radius} for point in leaf["goals"]],
+        "goals": _goals(leaf["goals"], row["success_distance"]),
         "instruction": {"instruction_text": row["instruction_text"], "instruction_tokens": tokens},
         "reference_path": leaf["reference_path"],
     }
+
+
+def _goals(points: Points | list[Any], radius: float) -> Any:
+    """Return the goals of a stock episode as a list, or as JSON if the points are."""
+    if not isinstance(points, Points) or not points:
+        return [{"position": point, "radius": radius} for point in points]
+    behind = b'],"radius":' + encode(radius) + b"}"
+    inner = points.json[2:-2].replace(b"],[", behind + b',{"position":[')
+    return orjson.Fragment(b'[{"position":[' + inner + behind + b"]")
 
 
 class EncodedEpisode(NamedTuple):
@@ -157,8 +165,16 @@ def ground_truth(row: Row) -> dict[str, Any]:
 
 
 def encode(document: object) -> bytes:
-    """Return JSON bytes; numbers in their shortest form, keys in the given order."""
-    return orjson.dumps(document)
+    """Return JSON bytes; numbers in their shortest form, keys in the given order. The document may have
+    :class:`~condvln.export.rows.Points`.
+    """
+    return orjson.dumps(document, default=_known_json)
+
+
+def _known_json(value: object) -> orjson.Fragment:
+    if isinstance(value, Points):
+        return orjson.Fragment(value.json)
+    raise TypeError(f"{type(value).__name__} has no JSON")
 
 
 @dataclass
