@@ -17,7 +17,6 @@ import io
 import math
 import pickle
 from collections.abc import Iterable, Mapping
-from itertools import chain
 from typing import Any, Final
 
 import networkx as nx
@@ -38,6 +37,8 @@ _PROTOCOL: Final = 2
 """Pickle protocol: the oldest that names classes in a form that the loaders' Python 3.7 finds."""
 _CELL: Final = 1.0
 """Edge length of a cell in metres; each cell on a route becomes a node."""
+_MOST_SPARSE: Final = 64
+"""Largest ratio of the largest of some numbers to their count for which a table is made of them, not a sorted copy."""
 
 
 class Places:
@@ -96,40 +97,58 @@ class _GraphPickler(pickle.Pickler):
 
 def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Return a name and a point for each grid cell on the routes, and the edges between cells that a route connects."""
-    routes = [leaf["reference_path"] for row in rows for leaf in row["leaves"]]
+    routes = [np.asarray(leaf["reference_path"], dtype=np.float64) for row in rows for leaf in row["leaves"]]
     if not routes:
         return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
     ends = np.cumsum([0, *map(len, routes)])
-    flat = np.fromiter(chain.from_iterable(chain.from_iterable(routes)), dtype=np.float64, count=3 * int(ends[-1]))
-    dense, ends = densify_many(flat.reshape(-1, 3), ends, PATH_SPACING)
+    dense, ends = densify_many(np.concatenate([route.reshape(-1, 3) for route in routes]), ends, PATH_SPACING)
     route = np.repeat(np.arange(len(routes)), np.diff(ends))
-    # Points in ascending order, each once: the first one in a cell is the least.
     millimetres = np.rint(dense * 1000.0).astype(np.int64)
-    once, place = _numbered(millimetres)
-    points = millimetres[once] / 1000.0
-    firsts, cell = _numbered(np.floor(points / _CELL).astype(np.int64))
-    cell = cell[place]
+    cell = _numbered(np.floor(millimetres / 1000.0 / _CELL).astype(np.int64))
+    points = _least_of_each(cell, millimetres) / 1000.0
     crossing = (cell[1:] != cell[:-1]) & (route[1:] == route[:-1])
-    pairs = np.sort(np.stack([cell[:-1][crossing], cell[1:][crossing]], axis=1), axis=1)
-    return [f"p{k}" for k in range(len(firsts))], points[firsts], pairs[_numbered(pairs)[0]]
+    one, other = cell[:-1][crossing], cell[1:][crossing]
+    pairs = np.unique(np.minimum(one, other) * len(points) + np.maximum(one, other))
+    return [f"p{k}" for k in range(len(points))], points, np.stack(np.divmod(pairs, max(len(points), 1)), axis=1)
 
 
-def _numbered(rows: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the first place of each different row, in ascending order of the rows, and the number of each row in that
-    order. Rows become single numbers first, which are sorted much faster.
-    """
+def _numbered(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the number of each row among the different rows in ascending order."""
+    keys = _keys(rows)
+    most = int(keys.max(initial=0))
+    if most > _MOST_SPARSE * (len(keys) + _MOST_SPARSE):
+        number: npt.NDArray[np.int64] = np.unique(keys, return_inverse=True)[1]
+        return number
+    there = np.zeros(most + 1, dtype=np.int64)
+    there[keys] = 1
+    found: npt.NDArray[np.int64] = (np.cumsum(there) - 1)[keys]
+    return found
+
+
+def _least_of_each(cell: npt.NDArray[np.int64], points: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the least of the points in each cell; `cell` has the number of the cell of each point."""
+    keys = _keys(points)
+    least = np.full(int(cell.max(initial=-1)) + 1, np.iinfo(np.int64).max)
+    np.minimum.at(least, cell, keys)
+    is_least = keys == least[cell]
+    at = np.zeros(len(least), dtype=np.int64)
+    at[cell[is_least]] = np.flatnonzero(is_least)
+    return points[at]
+
+
+def _keys(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return a number from 0 for each row, such that numbers compare as the rows do; equal rows have equal numbers."""
     if not len(rows):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return np.zeros(0, dtype=np.int64)
     low = rows.min(axis=0)
     spans = (rows.max(axis=0) - low + 1).tolist()
     if math.prod(spans) >= 1 << 62:
-        _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        return first, number.reshape(-1)
-    key = np.zeros(len(rows), dtype=np.int64)
+        number: npt.NDArray[np.int64] = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+        return number
+    keys = np.zeros(len(rows), dtype=np.int64)
     for column, least, span in zip(rows.T, low, spans, strict=True):
-        key = key * span + (column - least)
-    _, first, number = np.unique(key, return_index=True, return_inverse=True)
-    return first, number
+        keys = keys * span + (column - least)
+    return keys
 
 
 def _graph(names: list[str], positions: npt.NDArray[np.float64], edges: npt.NDArray[np.int64]) -> nx.Graph[str]:

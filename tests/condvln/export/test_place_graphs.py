@@ -83,6 +83,19 @@ def test_places_are_those_of_the_routes_whatever_their_order(routes: list[list[l
     assert not any(nx.selfloop_edges(graph))
 
 
+@given(st.lists(points, min_size=1, max_size=4), st.sampled_from([1e-3, 1.0, 1e5]))
+def test_a_place_is_the_least_point_of_its_cell(routes: list[list[list[float]]], scale: float) -> None:
+    """Also where the house is so small, or so large, that cells are numbered in another way."""
+    routes = [[[scale * value for value in route[0]]] for route in routes]
+    places = Places()
+    places.add("gibson/Oyens/Oyens.glb", rows_of(*routes))
+    found = loaded(places.pickled())["Oyens"]
+    cells: dict[tuple[float, ...], list[float]] = {}
+    for one in sorted((np.rint(np.array(route[0]) * 1000) / 1000).tolist() for route in routes):
+        cells.setdefault(tuple(np.floor(one)), one)
+    assert [at["position"] for _, at in found.nodes.items()] == [cells[cell] for cell in sorted(cells)]
+
+
 def test_scans_have_their_viewpoints() -> None:
     positions = np.array([[0, 0, 0], [2, 0, 0], [2, 0, 2]], dtype=np.float32)
     viewpoints = ViewpointGraph(("a", "b", "c"), positions, np.array([[0, 1], [1, 2]], np.int32), np.array([2.0, 2.0]))
