@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.bias.blocks import progressive
 from condvln.bias.guesser_view import GuesserView
 from schemas.program import CATEGORIES
 
@@ -87,6 +88,18 @@ class CodedViews(list[GuesserView]):
     def of(cls, views: Sequence[GuesserView]) -> CodedViews:
         """Return `views` with their columns; the same object if they have them already."""
         return views if isinstance(views, CodedViews) else cls(views)
+
+    @cached_property
+    def progress(self) -> list[tuple[Indices, Indices]]:
+        """What is learned from and what is guessed, step by step: see :func:`~condvln.bias.blocks.progressive`."""
+        return [*progressive([view.scene for view in self])]
+
+    @cached_property
+    def extremes(self) -> dict[Hashable, tuple[Indices, Indices]]:
+        """The likeliest and the unlikeliest leaf of each episode by a kind of statement, kept by guessers that share
+        the work.
+        """
+        return {}
 
     @cached_property
     def category(self) -> Indices:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from condvln.bias.blocks import NO_GUESS, progressive
+from condvln.bias.blocks import NO_GUESS
 from condvln.bias.coded_views import CodedViews, Indices, Statements, Words
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.regression import Guesses, Occurrences, coded_features, combined, dense, guessed_from
@@ -97,11 +97,12 @@ def usual_truths() -> NDArray[np.float64]:
 def majority_leaf(views: Sequence[GuesserView]) -> Guesses:
     """Guess the leaf that was gold most often in the same category."""
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
-    category = CodedViews.of(views).category
+    coded = CodedViews.of(views)
+    category = coded.category
     gold = np.array([view.gold for view in views], dtype=np.int64)
     seen = np.zeros((len(CATEGORIES), max(shape.leaves for shape in SHAPES.values())))
     counted = 0
-    for learned, guessed in progressive([view.scene for view in views]):
+    for learned, guessed in coded.progress:
         new, counted = learned[counted:], len(learned)
         np.add.at(seen, (category[new], gold[new]), 1.0)
         guesses[guessed] = seen.argmax(axis=1)[category[guessed]]
@@ -118,21 +119,29 @@ def _prior(key: Key, *, against: bool = False) -> Learner:
     """
 
     def learner(views: Sequence[GuesserView]) -> Guesses:
-        guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
         coded = CodedViews.of(views)
-        category, asked = coded.category, _Counted.of(coded, key)
-        seen = np.zeros((asked.different, 4))
-        counted = 0
-        for learned, guessed in progressive([view.scene for view in views]):
-            asked.add_to(seen, learned[counted:])
-            counted = len(learned)
-            for code in np.unique(category[guessed]).tolist():
-                mine = guessed[category[guessed] == code]
-                scores = asked.scores(seen, mine, CATEGORIES[code])
-                guesses[mine] = (scores.argmin if against else scores.argmax)(axis=0)
-        return guesses
+        if key not in coded.extremes:
+            coded.extremes[key] = _extremes(coded, key)
+        likeliest, unlikeliest = coded.extremes[key]
+        return unlikeliest if against else likeliest
 
     return learner
+
+
+def _extremes(views: CodedViews, key: Key) -> tuple[Guesses, Guesses]:
+    """Return the likeliest leaf of each episode, and the unlikeliest one, as :func:`_prior` judges them."""
+    likeliest, unlikeliest = (np.full(len(views), NO_GUESS, dtype=np.int64) for _ in range(2))
+    category, asked = views.category, _Counted.of(views, key)
+    seen = np.zeros((asked.different, 4))
+    counted = 0
+    for learned, guessed in views.progress:
+        asked.add_to(seen, learned[counted:])
+        counted = len(learned)
+        for code in np.unique(category[guessed]).tolist():
+            mine = guessed[category[guessed] == code]
+            scores = asked.scores(seen, mine, CATEGORIES[code])
+            likeliest[mine], unlikeliest[mine] = scores.argmax(axis=0), scores.argmin(axis=0)
+    return likeliest, unlikeliest
 
 
 class _Counted(NamedTuple):

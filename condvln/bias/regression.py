@@ -12,13 +12,13 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import chain, pairwise
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 
 from condvln.bias.blocks import NO_GUESS, progressive
 from condvln.bias.newton_direction import TOLERANCE, Preconditioner, head_factor, newton_direction
@@ -281,9 +281,14 @@ class _Fits:
         loss = (logs - right).sum(axis=0) + _dot(self.penalty * weights, weights) / 2
         return _Place(weights, scores, shares, loss)
 
+    @cached_property
+    def _texts(self) -> csc_matrix:
+        """The matrix (words, texts)."""
+        return self.words.T
+
     def gradient(self, place: _Place) -> F64:
         """Return the gradient of the loss."""
-        found: F64 = self.penalty * place.weights + self._times(self.words.T, place.shares - self.hot)
+        found: F64 = self.penalty * place.weights + self._times(self._texts, place.shares - self.hot)
         return found
 
     def step(self, place: _Place, gradient: F64) -> _Place:
@@ -303,7 +308,7 @@ class _Fits:
         return new
 
     @staticmethod
-    def _times(matrix: csr_matrix, columns: F64) -> F64:
+    def _times(matrix: csr_matrix | csc_matrix, columns: F64) -> F64:
         """Return the product of `matrix` and the columns of each class of each fit."""
         found: F64 = (matrix @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
         return found

@@ -117,7 +117,8 @@ def _numbered(array: pa.Array) -> tuple[npt.NDArray[np.int64], list[Any]]:
     """Return the number of each text in a column, and the different texts with None at the end."""
     encoded = array.dictionary_encode()
     texts = encoded.dictionary.to_pylist()
-    return encoded.indices.fill_null(len(texts)).to_numpy(zero_copy_only=False).astype(np.int64), [*texts, None]
+    number = encoded.indices.fill_null(len(texts)) if array.null_count else encoded.indices
+    return number.to_numpy(zero_copy_only=False).astype(np.int64), [*texts, None]
 
 
 def _names(array: pa.StructArray) -> list[str]:
