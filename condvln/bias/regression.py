@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import chain, pairwise
@@ -271,11 +271,18 @@ class _Fits:
 
     def at(self, weights: F64) -> _Place:
         """Return the scores, shares and losses of these weights."""
-        scores: F64 = self._times(self.words, weights) + self.absent
+        scores = self._times(self.words, weights)
+        scores += self.absent
         top = _over_classes(np.maximum, scores)
-        shares = np.exp(scores - top[..., None])
+        # Class by class, since NumPy spreads values over so short an axis slowly, and in place.
+        shares = np.empty_like(scores)
+        for own, share in zip(_by_class(scores), _by_class(shares), strict=True):
+            np.subtract(own, top, out=share)
+        np.exp(shares, out=shares)
         sums = _over_classes(np.add, shares)
-        shares *= self.inside / sums[..., None]
+        scale = self.inside[..., 0] / sums
+        for share in _by_class(shares):
+            share *= scale
         logs = (np.log(sums) + top) * self.inside[..., 0]
         right = _over_classes(np.add, np.where(self.hot > 0.0, scores, 0.0))
         loss = (logs - right).sum(axis=0) + _dot(self.penalty * weights, weights) / 2
@@ -353,8 +360,13 @@ def _over_classes(operation: np.ufunc, values: F64) -> F64:
     """Return what `operation` makes of the values of all classes, the last axis. NumPy's own reduction takes several
     times as long over so short an axis.
     """
-    found: F64 = reduce(operation, np.moveaxis(values, -1, 0))
+    found: F64 = reduce(operation, _by_class(values))
     return found
+
+
+def _by_class(values: F64) -> Iterator[F64]:
+    """Yield the values of each class, the last axis, as views."""
+    yield from np.moveaxis(values, -1, 0)
 
 
 def _different(features: csr_matrix) -> tuple[csr_matrix, NDArray[np.int64]]:

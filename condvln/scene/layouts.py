@@ -7,6 +7,7 @@ layout, so label statistics are counted, and guessed, within a layout.
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import Final
 
 __all__ = ["layout_of"]
@@ -16,6 +17,7 @@ __all__ = ["layout_of"]
 _STAGING: Final = re.compile(r"(v\d+_sc\d+)_staging_\d+|(FloorPlan_(?:Train|Val|Test)\d+)_\d+(?:_physics)?")
 
 
+@lru_cache(maxsize=1024)
 def layout_of(scene_id: str) -> str:
     """Return the name of a scene's layout; empty if the scene is not known to be one of several variants."""
     found = _STAGING.fullmatch(scene_id)
