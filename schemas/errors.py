@@ -16,6 +16,7 @@
     ├── SmallerExportError      a new export would hold less for no known reason        exit 3
     ├── TransientIOError        worth another try (network, busy disk)
     ├── ClusterError            Ray or a process of ours died, or does not answer; what was committed stays
+    ├── WorkerError             a worker process died: its unit is tried again, alone    exit 3
     ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
     ├── DeadlineError           a unit ran longer than its deadline
     ├── MemoryCeilingError      a unit outgrew the memory ceiling of its process (also a MemoryError)
@@ -51,6 +52,7 @@ __all__ = [
     "StoreError",
     "TransientIOError",
     "UsageError",
+    "WorkerError",
 ]
 
 
