@@ -96,8 +96,8 @@ def terminable() -> Iterator[threading.Event]:
 
 
 def terminated_by_signal() -> None:
-    """Let SIGTERM raise ``Terminated`` in this process from now on. Ray sends SIGTERM to workers when their driver or
-    their node ends.
+    """Let SIGTERM raise ``Terminated`` in this process from now on. Workers get SIGTERM when
+    their driver or their node ends.
     """
 
     def stop(signum: int, frame: FrameType | None) -> None:

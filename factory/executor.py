@@ -68,7 +68,8 @@ class Executor(Protocol):
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         """Run ``tasks``. When the iterator is closed, no further task is started; commits stay.
 
-        Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray dies.
+        Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray, or the process that starts
+        workers, dies.
         """
         ...
 

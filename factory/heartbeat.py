@@ -25,7 +25,7 @@ _PAUSE: Final = 1.0
 class Busy:
     """A unit under way, the stage that the unit is at, and the seconds since this stage began.
 
-    endable : its process may be ended when it is late (a worker of Ray's, not the driver)
+    endable : its process may be ended when it is late (a worker, not the driver)
     """
 
     unit_id: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import pickle
@@ -54,6 +55,9 @@ LOG_BYTES: Final = 1 << 16
 _DUMP: Final = re.compile(r"^(Fatal Python error|Timeout \()", re.MULTILINE)
 """Where Python begins to tell where a process stood that was ended."""
 
+STILLBORN: Final = 3
+"""Number of workers that may die one after the other before they have loaded what the run is made of."""
+
 END_SECONDS: Final = 20.0
 """Seconds that the template has to end its workers and itself."""
 
@@ -62,13 +66,16 @@ END_SECONDS: Final = 20.0
 class _Process:
     """A worker process, as the driver knows it.
 
-    serves : name of the crew whose context the worker has
-    job : name and job that it has in hand
+    serves : number of the crew whose context the worker was sent
+    ready : it has loaded that context
+    job : number, content and expected memory of the job that it has in hand, and whether it is to run alone
+    busy : what it reported of a unit that takes long
     """
 
     connection: Connection
     log: IO[bytes]
     number: int = 0
+    ready: bool = False
     serves: int = -1
     job: tuple[int, Job, int, bool] | None = None
     busy: tuple[str, str, float] | None = None
@@ -84,13 +91,18 @@ class Processes:
     def __init__(self, preload: Preload, note: Callable[[str], None], environment: Mapping[str, str]) -> None:
         self.all: list[_Process] = []
         self._rest = b""
-        self._ended: dict[int, int] = {}
+        self._ended: dict[int, tuple[int, int]] = {}
+        # Forks are answered in their order, also those that an interrupt kept the driver from waiting for.
+        self._asked = self._answered = 0
+        self._began: dict[int, int] = {}
+        self.numbers = itertools.count(1)
+        _open_standard_files()
         ours, theirs = socket.socketpair()
         path = [entry for entry in sys.path if isinstance(entry, str)]
         told = json.dumps([theirs.fileno(), path, preload.module, preload.function, preload.arguments])
         try:
             self._template = subprocess.Popen(
-                [sys.executable, "-I", "-c", CHILD, told],
+                [sys.executable, "-I", "-u", "-c", CHILD, told],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 env={**os.environ, **environment},
@@ -108,8 +120,6 @@ class Processes:
             while "ready" not in (message := self._next(None)):
                 if "note" in message:
                     note(message["note"])
-                if "failed" in message:
-                    raise pickle.loads(bytes.fromhex(message["failed"]))
         except BaseException:
             self.end()
             raise
@@ -132,8 +142,14 @@ class Processes:
             self._rest += found
         line, _, self._rest = self._rest.partition(b"\n")
         message: dict[str, Any] = json.loads(line)
+        if "began" in message:
+            self._answered += 1
+            self._ended.pop(message["began"], None)  # another process had this number before
+            self._began[self._answered] = message["began"]
+        if "failed" in message:
+            raise pickle.loads(bytes.fromhex(message["failed"]))
         if "ended" in message:
-            self._ended[message["ended"]] = message["signal"]
+            self._ended[message["ended"]] = (message["code"], message["signal"])
         return message
 
     def check(self) -> None:
@@ -145,15 +161,18 @@ class Processes:
         """Start one more worker."""
         ours, theirs = Pipe()
         log = tempfile.TemporaryFile("a+b", buffering=0)  # noqa: SIM115 - open as long as the worker lives
-        with theirs:
+        self._asked += 1
+        name = self._asked
+        process = _Process(ours, log)
+        with theirs:  # open until the template has it: macOS may drop a file that is closed on its way
             try:
                 socket.send_fds(self._line, [FORK], [theirs.fileno(), log.fileno()])
             except OSError as error:
                 raise ClusterError("the process that starts workers has ended", remedy=REMEDY) from error
-        process = _Process(ours, log)
-        self.all.append(process)
-        while not process.number:
-            process.number = self._next(None).get("began", 0)
+            while name not in self._began:
+                self._next(None)
+        process.number = self._began.pop(name)
+        self.all.append(process)  # one that nobody waited for ends by itself when its connection is closed
         return process
 
     def bury(self, process: _Process) -> WorkerError:
@@ -161,20 +180,27 @@ class Processes:
         limit = time.monotonic() + 2.0
         while process.number not in self._ended and time.monotonic() < limit:
             self._next(0.1)
-        number = self._ended.pop(process.number, 0)
-        how = f"signal {signal.Signals(number).name}" if number else "an exit of its own"
+        how = _how(self._ended.pop(process.number, None))
         size = os.fstat(process.log.fileno()).st_size
         words = _last_words(os.pread(process.log.fileno(), LOG_BYTES, max(size - LOG_BYTES, 0)))
         self._forget(process)
-        return WorkerError(f"the worker ended by {how}" + (f"; its last words were: {words}" if words else ""))
+        return WorkerError(f"the worker {how}" + (f"; its last words were: {words}" if words else ""))
+
+    def dead(self, process: _Process) -> bool:
+        """Return whether a worker has ended, though a process that it started may hold its connection open."""
+        return process.number in self._ended
 
     def kill(self, process: _Process) -> None:
         """End a worker whatever it does."""
-        self.check()
+        with contextlib.suppress(ClusterError):  # its workers are to end all the same
+            self.check()
         if process.number not in self._ended:  # else another process may have its number by now
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(process.number, signal.SIGKILL)
-        self.bury(process)
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.number, signal.SIGKILL)
+        try:
+            self.bury(process)
+        except ClusterError:
+            self._forget(process)
 
     def _forget(self, process: _Process) -> None:
         self.all.remove(process)
@@ -184,7 +210,10 @@ class Processes:
     def end(self) -> None:
         """End the workers and the template."""
         for process in [*self.all]:
-            self._forget(process)
+            if process.job is not None:
+                self.kill(process)
+            else:
+                self._forget(process)
         self._line.close()
         # It listens while it serves; while it still loads, only a signal stops it.
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -210,7 +239,7 @@ class ProcessCrew:
     number: int
     """Name of this crew among those of its executor."""
     _waiting: deque[tuple[int, Job, int, bool]] = field(default_factory=deque)
-    _sent: int = 0
+    _stillborn: int = 0
 
     def __post_init__(self) -> None:
         self._shipped = pickle.dumps((self.context, self.most))
@@ -227,10 +256,10 @@ class ProcessCrew:
 
     def send(self, job: Job, memory: int, *, alone: bool) -> int:
         """Hand out a job; return its number."""
-        self._sent += 1
-        self._waiting.append((self._sent, job, min(memory, self._memory), alone))
+        number = next(self.processes.numbers)
+        self._waiting.append((number, job, min(memory, self._memory), alone))
         self._begin()
-        return self._sent
+        return number
 
     def _begin(self) -> None:
         """Begin those jobs for which there is room."""
@@ -249,18 +278,30 @@ class ProcessCrew:
     def _give(self, item: tuple[int, Job, int, bool]) -> None:
         content = pickle.dumps(item[1])
         while True:
-            process = next((p for p in self.processes.all if p.job is None), None) or self.processes.fork()
+            idle = [p for p in self.processes.all if p.job is None and not self.processes.dead(p)]
+            process = idle[0] if idle else self.processes.fork()
+            process.job = item  # before anything is sent: if this is interrupted, ``left`` ends the process
             try:
                 if process.serves != self.number:
-                    process.connection.send(("context", self._shipped))
+                    process.ready = False
+                    process.connection.send(("context", 0, self._shipped))
                     process.serves = self.number
                 process.log.truncate(0)  # what was printed for other jobs
-                process.connection.send(("job", content))
+                process.connection.send(("job", item[0], content))
             except OSError:
-                self.processes.bury(process)  # it died while it had nothing to do
+                process.job = None
+                began = process.ready
+                error = self.processes.bury(process)
+                if not began:
+                    self._count_stillborn(error)
                 continue
-            process.job = item
             return
+
+    def _count_stillborn(self, error: WorkerError) -> None:
+        """Raise ``ClusterError`` if too many workers died before they could begin."""
+        self._stillborn += 1
+        if self._stillborn >= STILLBORN:
+            raise ClusterError(f"workers end before they begin to work: {error}", remedy=REMEDY) from error
 
     def returned(self, flying: Sequence[int]) -> list[tuple[int, Returned]]:
         """Wait up to a second; return (number, result) of the jobs that came back."""
@@ -273,24 +314,43 @@ class ProcessCrew:
             result = self._read(process)
             if item is not None and result is not None:
                 found.append((item[0], result))
+        for process in [p for p in self.processes.all if self.processes.dead(p) and not p.connection.poll()]:
+            item, result = process.job, self._dead(process)
+            if item is not None and result is not None:
+                found.append((item[0], result))
         self._begin()
         return found
 
     def _read(self, process: _Process) -> Returned | None:
         """Read one message of a worker; None if no job came back with it."""
         try:
-            kind, content = process.connection.recv()
+            kind, number, content = process.connection.recv()
         except (EOFError, OSError):
-            return Lost(self.processes.bury(process), "worker")
+            return self._dead(process)
         found = pickle.loads(content)
+        if kind == "ready":  # its context is loaded, or why that failed is told to each job
+            process.ready, self._stillborn = True, 0
+            return None
         if kind == "busy":
             process.busy = found
             return None
+        if process.job is None or process.job[0] != number:
+            raise ClusterError("a worker answered for a job that it does not have", remedy=REMEDY)
         process.job = process.busy = None
         if kind == "raised":
             return Lost(found, "raised")
         done: Returned = found
         return done
+
+    def _dead(self, process: _Process) -> Lost | None:
+        """Take note that a worker has died; None if no job of its is lost."""
+        item, ready = process.job, process.ready
+        error = self.processes.bury(process)
+        if item is not None and not ready:  # the unit is not at fault: it goes to another worker
+            self._count_stillborn(error)
+            self._waiting.appendleft(item)
+            return None
+        return Lost(error, "worker")
 
     def left(self, flying: Sequence[int]) -> None:
         """End the workers that still have a job in hand: nobody waits for it. What they committed stays."""
@@ -298,6 +358,30 @@ class ProcessCrew:
         for process in [*self.processes.all]:
             if process.job is not None:
                 self.processes.kill(process)
+
+
+def _how(status: tuple[int, int] | None) -> str:
+    """Return how a worker ended, by its exit code and the number of the signal that ended it."""
+    if status is None:
+        return "ended; how is not known"
+    code, number = status
+    if not number:
+        return f"left by itself with exit code {code}"
+    try:
+        return f"was ended by signal {signal.Signals(number).name}"
+    except ValueError:  # a real-time signal
+        return f"was ended by signal {number}"
+
+
+def _open_standard_files() -> None:
+    """Open what a caller has closed of standard input, output and errors: other files would get these numbers, and be
+    replaced in the template.
+    """
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
 
 
 def _last_words(log: bytes) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
@@ -16,6 +17,7 @@ from factory.packing import Packed, PackJob
 from factory.preload import NOTHING, Preload
 from factory.process_crew import ProcessCrew, Processes
 from factory.receipt import Receipt
+from schemas.errors import UsageError
 
 __all__ = ["SINGLE_THREADED", "ProcessExecutor"]
 
@@ -32,7 +34,8 @@ class ProcessExecutor:
     preload : called once, before the first worker starts, in the process that workers are forked from
     note : shows what `preload` says
 
-    Use it as a context manager. Processes start when the first task comes, and end with it.
+    Use it as a context manager: processes start before the first task, and end when it is left. A forked process that
+    has used Apple's frameworks may crash, so on macOS Ray (``RayExecutor``) is the safer choice.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class ProcessExecutor:
         self._processes: Processes | None = None
         self._dispatch: Dispatch | None = None
         self._crews = itertools.count()
+        self._at_work = False
 
     @property
     def workers(self) -> int:
@@ -78,13 +82,26 @@ class ProcessExecutor:
         stream = iter(tasks)
         first = next(stream, None)
         if first is not None:  # else nothing is started
-            yield from self._dispatched(context).units(itertools.chain([first], stream))
+            with self._alone():
+                yield from self._dispatched(context).units(itertools.chain([first], stream))
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
         stream = iter(jobs)
         first = next(stream, None)
         if first is not None:
-            yield from self._dispatched(context).packs(itertools.chain([first], stream))
+            with self._alone():
+                yield from self._dispatched(context).packs(itertools.chain([first], stream))
+
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Context of one stream of jobs. Two at once would read each other's answers."""
+        if self._at_work:
+            raise UsageError("this executor is at work for another run", remedy="Give each run an executor of its own.")
+        self._at_work = True
+        try:
+            yield
+        finally:
+            self._at_work = False
 
     def _dispatched(self, context: RunContext) -> Dispatch:
         crew = ProcessCrew(context, self.start(), self._workers, next(self._crews))

@@ -341,6 +341,8 @@ class _Run:
                     raise KeyboardInterrupt
                 yield receipt
         except ClusterError as error:
+            if self.stop.is_set():  # what stopped this process may have ended its workers first
+                raise KeyboardInterrupt from error
             raise ClusterError(
                 f"{error.what}. {done} of the {len(work)} units of this pass were done; {COMMITTED}",
                 remedy=error.remedy,

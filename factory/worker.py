@@ -1,6 +1,6 @@
 """The worker: runs those stages of a unit that are not done, and commits each stage.
 
-The same code runs inline and inside a Ray task. What happens to an error:
+The same code runs inline, in a worker process and inside a Ray task. What happens to an error:
 
 * ``TransientIOError`` from a stage: tried again, with growing pauses, then quarantined;
 * a stop (``KeyboardInterrupt``, or ``Terminated`` in a worker that receives SIGTERM), though compiled code handed it on

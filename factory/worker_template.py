@@ -5,9 +5,9 @@ memory with it and begin to work within milliseconds. It has one thread, so that
 several, is never forked.
 
 The driver sends one byte with two open files for each worker: a socket for jobs and a file for whatever the worker
-prints. The template writes lines of JSON: ``note`` (a message for the user), ``ready``, ``failed`` (the loading), and
-for each worker ``began`` (its number) and ``ended`` (its number, and that of the signal that ended it, or 0). It ends,
-and its workers with it, as soon as the driver closes the control socket or is gone.
+prints. The template writes lines of JSON: ``note`` (a message for the user), ``ready``, ``failed`` (an error), and for
+each worker ``began`` (its number) and ``ended`` (its number, ``code`` of its exit, and ``signal`` that ended it). It
+ends, and its workers with it, as soon as the driver closes the control socket or is gone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ import signal
 import socket
 import threading
 import time
+import traceback
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from types import FrameType
 from typing import Any, Final
 
 from factory.context import RunContext
@@ -33,6 +36,7 @@ from factory.heartbeat import Place
 from factory.packing import pack
 from factory.preload import Preload
 from factory.worker import Worker
+from schemas.errors import ClusterError, CondVLNError, UsageError
 
 __all__ = ["FORK", "run_template"]
 
@@ -41,6 +45,13 @@ FORK: Final = b"f"
 
 GRACE: Final = 5.0
 """Seconds that workers have to leave after SIGTERM, before they are killed."""
+
+FIRST_TO_GO: Final = "500"
+"""Linux's score for processes to be ended when memory runs out: a worker, whose unit is tried again, and not the driver
+(0)."""
+
+LOOK: Final = 0.5
+"""Seconds between two looks, while the template loads, at whether its driver is still there."""
 
 PAUSE: Final = 1.0
 """Seconds between two reports of a worker about a unit that takes long."""
@@ -52,6 +63,8 @@ def run_template(control: int, preload: Preload) -> None:
     control : file number of the control socket
     preload : loaded before workers are forked
     """
+    faulthandler.enable()
+    signal.pthread_sigmask(signal.SIG_SETMASK, [])  # whatever the driver's thread had blocked
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the driver's to handle
     terminated_by_signal()
     with socket.socket(fileno=control) as line:
@@ -60,7 +73,8 @@ def run_template(control: int, preload: Preload) -> None:
             line.sendall(json.dumps(message).encode() + b"\n")
 
         try:
-            preload.load(lambda text: say(note=text))
+            with _ended_without(line):
+                preload.load(lambda text: say(note=text))
         except Exception as error:
             with contextlib.suppress(OSError):  # the driver may be gone: that is such an error, too
                 say(failed=_pickled(error).hex())
@@ -71,6 +85,24 @@ def run_template(control: int, preload: Preload) -> None:
             say(ready=True)
             _Template(line, say).serve()
     os._exit(0)  # to free all that was loaded, piece by piece, would take half a second
+
+
+@contextlib.contextmanager
+def _ended_without(line: socket.socket) -> Iterator[None]:
+    """Context that is left with ``Terminated`` when the driver has closed its end of `line`."""
+
+    def look(signum: int, frame: FrameType | None) -> None:
+        with contextlib.suppress(BlockingIOError):
+            if not line.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT):
+                raise Terminated(1)
+
+    signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, LOOK, LOOK)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 class _Template:
@@ -86,14 +118,17 @@ class _Template:
         signal.set_wakeup_fd(wake.fileno(), warn_on_full_buffer=False)
 
     def serve(self) -> None:
+        poll = select.poll()  # unlike select, it takes file numbers beyond 1023
+        poll.register(self._line, select.POLLIN)
+        poll.register(self._woken, select.POLLIN)
         try:
             while True:
-                ready, _, _ = select.select([self._line, self._woken], [], [])
-                if self._woken in ready:
+                ready = {number for number, _ in poll.poll()}
+                if self._woken.fileno() in ready:
                     with contextlib.suppress(BlockingIOError):
                         self._woken.recv(4096)
                 self._reap()
-                if self._line in ready:
+                if self._line.fileno() in ready:
                     asked, files, _, _ = socket.recv_fds(self._line, 1, 2)
                     if not asked:
                         return
@@ -102,10 +137,22 @@ class _Template:
             self._end()
 
     def _fork(self, jobs: int, log: int) -> None:
-        child = os.fork()
+        # SIGTERM between the fork and the `try` would send the child back into ``serve`` and so on to its siblings.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+        try:
+            child = os.fork()
+        except OSError as error:
+            told = ClusterError(f"no further worker could be started: {error}", remedy="Free memory, or end processes.")
+            self._say(failed=_pickled(told).hex())
+            raise Terminated(1) from error
         if child == 0:
             code = 1
             try:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+                os.set_inheritable(jobs, False)  # else what a stage starts would keep the connection open
+                os.setpgid(0, 0)
+                with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as score:
+                    score.write(FIRST_TO_GO)
                 signal.set_wakeup_fd(-1)
                 signal.signal(signal.SIGCHLD, signal.SIG_DFL)
                 for end in (self._line, self._woken, self._wake):
@@ -114,35 +161,54 @@ class _Template:
                 os.dup2(log, 2)
                 os.close(log)
                 code = _work(Connection(jobs))
+            except BaseException:
+                traceback.print_exc()
             finally:
                 os._exit(code)  # nothing of the template's is to be ended here
         self._children.add(child)
+        with contextlib.suppress(OSError):
+            os.setpgid(child, child)  # a group with all that its stages start; here too, before its number is told
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.close(jobs)
         os.close(log)
         self._say(began=child)
 
     def _reap(self) -> None:
         for child in [*self._children]:
+            _end_group(child)
             found, status = os.waitpid(child, os.WNOHANG)
             if found:
                 self._children.discard(child)
-                self._say(ended=child, signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
+                code = os.WEXITSTATUS(status) if os.WIFEXITED(status) else 0
+                self._say(ended=child, code=code, signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
 
     def _end(self) -> None:
         """End the workers: what they have in hand is not committed, and made again by the next run."""
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         limit = time.monotonic() + GRACE
-        how = signal.SIGTERM
-        while self._children:
+        groups = [*self._children]
+        for child in groups:
+            with contextlib.suppress(OSError):
+                os.kill(child, signal.SIGTERM)  # once: another would interrupt what the first one made it clean up
+        while self._children and time.monotonic() < limit:
             for child in [*self._children]:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(child, how)
                 if os.waitpid(child, os.WNOHANG)[0]:
                     self._children.discard(child)
-            if self._children:
-                time.sleep(0.05)
-            if time.monotonic() > limit:
-                how = signal.SIGKILL
+            time.sleep(0.02)
+        for child in groups:
+            with contextlib.suppress(OSError):
+                os.killpg(child, signal.SIGKILL)  # what is left of it, and what its stages started
+        for child in self._children:
+            os.waitpid(child, 0)
+
+
+def _end_group(leader: int) -> None:
+    """End what a worker has started, if the worker has ended: before its own end is taken note of, for until then its
+    number can't be another's.
+    """
+    if hasattr(os, "waitid") and os.waitid(os.P_PID, leader, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+        with contextlib.suppress(OSError):
+            os.killpg(leader, signal.SIGKILL)
 
 
 # ---- a worker
@@ -154,21 +220,24 @@ class _Jobs:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._lock = threading.Lock()
+        self._over = threading.Event()
 
     def receive(self) -> Any:
         return self._connection.recv()
 
-    def send(self, kind: str, content: bytes) -> None:
+    def send(self, kind: str, content: bytes, number: int = 0) -> None:
         with self._lock:
-            self._connection.send((kind, content))
+            self._connection.send((kind, number, content))
 
     def report(self, place: Place, after: float) -> None:
         """Report from now on, from a thread, the unit at `place` when it is at one stage for `after` seconds."""
 
+        self._over.set()
+        over = self._over = threading.Event()
+
         def watch() -> None:
             said = False
-            while True:
-                time.sleep(PAUSE)
+            while not over.wait(PAUSE):
                 busy = place.busy()
                 if busy is not None and busy.seconds >= after:
                     self.send("busy", pickle.dumps((busy.unit_id, busy.stage, busy.seconds)))
@@ -190,20 +259,30 @@ def _work(connection: Connection) -> int:
     terminated_by_signal()
     jobs = _Jobs(connection)
     worker: Worker | None = None
+    fault = UsageError("a worker was given a job before the run")
     try:
         while True:
-            kind, content = jobs.receive()
-            try:
-                if kind == "context":
+            kind, number, content = jobs.receive()
+            if kind == "context":
+                worker = None
+                try:
                     context, slots = pickle.loads(content)
                     worker = _new_worker(context, slots, jobs)
-                    continue
-                assert worker is not None
-                result: Any = _done(worker, pickle.loads(content))
+                except Exception as error:  # told to each job: one job, one answer
+                    fault = UsageError(
+                        f"a worker can't load what the run is made of: {type(error).__name__}: {error}",
+                        remedy="Define stages in a module that can be imported, not in the script that is run.",
+                    )
+                jobs.send("ready", pickle.dumps(None))
+                continue
+            try:
+                if worker is None:
+                    raise fault
+                result = pickle.dumps(_done(worker, pickle.loads(content)))
             except Exception as error:
-                jobs.send("raised", _pickled(error))
+                jobs.send("raised", _pickled(error), number)
             else:
-                jobs.send("done", pickle.dumps(result))
+                jobs.send("done", result, number)
     except (EOFError, ConnectionResetError, BrokenPipeError):
         return 0  # the driver needs this worker no more
     except (Terminated, KeyboardInterrupt):
@@ -233,4 +312,9 @@ def _pickled(error: BaseException) -> bytes:
         pickle.loads(found)
         return found
     except Exception:
-        return pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
+        try:
+            text = str(error)
+        except Exception:
+            text = "(its message can't be shown)"
+        ours = next((kind for kind in type(error).__mro__ if kind.__module__ == CondVLNError.__module__), None)
+        return pickle.dumps(RuntimeError(f"{type(error).__name__}: {text}") if ours is None else ours(text))

@@ -39,6 +39,7 @@ def main() -> None:
     parser.add_argument("--shuffle", type=int, default=0)
     parser.add_argument("--log", default="")
     parser.add_argument("--seconds", type=float, default=0.0)
+    parser.add_argument("--trouble", default="", help="of a further unit")
     options = parser.parse_args()
     with contextlib.redirect_stdout(sys.stderr):  # Ray writes of a lost node to standard output, until the very end
         document = drive(options)
@@ -48,6 +49,10 @@ def main() -> None:
 def drive(options: argparse.Namespace) -> dict[str, Any]:
     """The run itself."""
     units = corpus(options.log, options.seconds)
+    if options.trouble:
+        units.append(
+            toys.unit("a/trouble", 4, trouble=options.trouble, log=options.log, seconds=options.seconds, cost=9.0)
+        )
     if options.shuffle:
         random.Random(options.shuffle).shuffle(units)
     executor: Executor = InlineExecutor()

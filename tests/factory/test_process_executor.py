@@ -10,7 +10,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
+from itertools import count
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +33,7 @@ from factory.ray_executor import RayExecutor
 from factory.report import Silence
 from jobs.generate import open_executor
 from schemas.config import RayConfig
-from schemas.errors import ClusterError, FormatError
+from schemas.errors import ClusterError, FormatError, UsageError
 from tests.ending import kill_driver
 
 
@@ -133,6 +136,8 @@ class FakeProcesses(Processes):
 
     def __init__(self) -> None:
         self.all = []
+        self.numbers = count(1)
+        self._ended = {}
 
     def fork(self) -> Any:
         from factory.process_crew import _Process
@@ -225,6 +230,141 @@ def test_what_a_dead_worker_printed_is_in_its_record(store: LocalStore) -> None:
     assert "misbehave" in record.message, "where it stood"
 
 
+@pytest.mark.parametrize(
+    ("trouble", "said"),
+    [
+        ("die-with-child", "left by itself with exit code 11"),
+        ("print-and-die", "a word of Python"),
+        ("signal-and-die", "was ended by signal 40"),
+    ],
+)
+def test_however_a_worker_dies_its_unit_alone_is_blamed(store: LocalStore, trouble: str, said: str) -> None:
+    units = [*toys.units(3), toys.unit("a/x", 4, trouble=trouble)]
+    with ProcessExecutor(2) as executor:
+        report = run(toys.pipeline(), units, store, executor=executor)
+        session = executor.start().template
+        held = {process.number for process in executor.start().all} | {session}
+        left = [one for one in psutil.process_iter() if one.pid not in held and _session(one.pid) == session]
+        _, left = psutil.wait_procs([one for one in left if one.status() != psutil.STATUS_ZOMBIE], timeout=5)
+    assert not left, "what a worker started ends with it"
+    ((name, failure),) = report.failures
+    assert (name, report.counts["ok"] + report.counts["skipped"]) == ("a/x", 3)
+    assert said in failure.message
+
+
+def _session(number: int) -> int:
+    try:
+        return os.getsid(number)
+    except ProcessLookupError:
+        return 0
+
+
+class Fails:
+    """Can be loaded in the process that made it only."""
+
+    def __init__(self, how: str) -> None:
+        self.state = (os.getpid(), how)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        home, how = self.state
+        if os.getpid() != home:
+            if how == "raises":
+                raise ValueError("not here")
+            os._exit(9)
+
+
+@dataclass(frozen=True)
+class Unloadable(toys.Count):
+    content: Any = None
+
+
+@pytest.mark.parametrize(
+    ("how", "error", "said"),
+    [
+        ("raises", UsageError, "a worker can't load what the run is made of: ValueError: not here"),
+        ("dies", ClusterError, "workers end before they begin to work: the worker left by itself with exit code 9"),
+    ],
+)
+def test_what_can_t_be_loaded_ends_the_run_and_not_the_next(
+    tmp_path: Path, how: str, error: type[Exception], said: str
+) -> None:
+    store = LocalStore(tmp_path / "first")
+    with ProcessExecutor(2) as executor:
+        assert run(toys.pipeline(), toys.units(3), LocalStore(tmp_path / "zero"), executor=executor).exit_code == 0
+        with pytest.raises(error, match=said):
+            run(toys.pipeline(Unloadable(content=Fails(how))), toys.units(3), store, executor=executor)
+        assert [*Commits(store).quarantined()] == []
+        report = run(toys.pipeline(), toys.units(5), LocalStore(tmp_path / "next"), executor=executor)
+    assert (report.exit_code, report.counts["total"]) == (0, 5)
+
+
+def test_an_interrupt_while_a_worker_begins_or_is_given_a_job_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(place: type, name: str, after: int) -> None:
+        real, calls = getattr(place, name), count()
+
+        def method(self: Any, *arguments: Any) -> Any:
+            if next(calls) == after:
+                raise KeyboardInterrupt
+            return real(self, *arguments)
+
+        monkeypatch.setattr(place, name, method)
+
+    before = children()
+    with ProcessExecutor(2) as executor:
+        executor.start()
+        for at, (place, name, after) in enumerate(
+            [(Processes, "_next", 0), (Connection, "send", 0), (Connection, "send", 1), (Connection, "send", 2)]
+        ):
+            interrupted(place, name, after)
+            with pytest.raises(KeyboardInterrupt):
+                run(toys.pipeline(), toys.units(5), LocalStore(tmp_path / f"{at}"), executor=executor)
+            monkeypatch.undo()
+            report = run(toys.pipeline(), toys.units(6), LocalStore(tmp_path / f"after {at}"), executor=executor)
+            assert (report.exit_code, report.counts["total"]) == (0, 6)
+            assert all(process.number for process in executor.start().all)
+    assert children() == before
+
+
+def test_workers_keep_no_thread_of_an_earlier_run(tmp_path: Path) -> None:
+    with ProcessExecutor(1) as executor:
+        threads = []
+        for at in range(3):
+            run(toys.pipeline(), toys.units(2), LocalStore(tmp_path / f"{at}"), executor=executor)
+            (process,) = executor.start().all
+            time.sleep(0.2)
+            threads.append(psutil.Process(process.number).num_threads())
+    assert len(set(threads)) == 1
+
+
+def test_two_runs_at_once_need_an_executor_each(store: LocalStore, tmp_path: Path) -> None:
+    class Again(Silence):
+        def unit(self, receipt: object) -> None:
+            run(toys.pipeline(), toys.units(2), LocalStore(tmp_path / "other"), executor=executor)
+
+    with ProcessExecutor(1) as executor, pytest.raises(UsageError, match="at work for another run"):
+        run(toys.pipeline(), toys.units(2), store, executor=executor, progress=Again())
+
+
+@pytest.mark.parametrize("closed", [[0], [1], [2], [0, 1, 2]], ids=str)
+def test_closed_standard_files_cost_nothing(tmp_path: Path, closed: list[int]) -> None:
+    code = (
+        f"import os\nfor number in {closed}: os.close(number)\n"
+        "import toys\n"
+        "from factory import LocalStore, run\n"
+        "from factory.process_executor import ProcessExecutor\n"
+        "with ProcessExecutor(2) as executor:\n"
+        f"    store = LocalStore({str(tmp_path / 'store')!r})\n"
+        "    report = run(toys.pipeline(), toys.units(4), store, executor=executor)\n"
+        f"open({str(tmp_path / 'said')!r}, 'w').write(str(report.exit_code))\n"
+    )
+    path = os.pathsep.join(filter(None, sys.path))
+    subprocess.run([sys.executable, "-c", code], timeout=120, check=True, env={**os.environ, "PYTHONPATH": path})
+    assert (tmp_path / "said").read_text() == "0"
+
+
 def test_a_worker_that_dies_with_nothing_to_do_is_replaced(store: LocalStore) -> None:
     with ProcessExecutor(2) as executor:
         assert run(toys.pipeline(), toys.units(4), store, executor=executor).exit_code == 0
@@ -234,13 +374,13 @@ def test_a_worker_that_dies_with_nothing_to_do_is_replaced(store: LocalStore) ->
 
 
 @contextmanager
-def driver(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+def driver(folder: Path, *more: str) -> Iterator[subprocess.Popen[bytes]]:
     """A driver whose workers have begun."""
     log = folder / "log"
     log.mkdir()
     command = [sys.executable, "-m", "drivers", str(folder / "store"), f"--log={log}", "--seconds=0.5"]
     listen = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    process = subprocess.Popen([*command, "--processes=2"], stderr=subprocess.DEVNULL, preexec_fn=listen)
+    process = subprocess.Popen([*command, "--processes=2", *more], stderr=subprocess.PIPE, preexec_fn=listen)
     try:
         while len([*log.iterdir()]) < 3:
             assert process.poll() is None
@@ -263,6 +403,50 @@ def test_ctrl_c_at_a_terminal_ends_all_processes(tmp_path: Path) -> None:
         left = psutil.Process(process.pid).children(recursive=True)
         assert len(left) == 3
         process.send_signal(signal.SIGINT)
+        process.wait(30)
+        _, alive = psutil.wait_procs(left, timeout=10)
+        assert not alive
+
+
+@pytest.mark.parametrize("first", ["the driver", "its workers"])
+def test_sigterm_to_all_processes_at_once_stops_the_run_as_one(tmp_path: Path, first: str) -> None:
+    """So do systemd and batch systems."""
+    with driver(tmp_path) as process:
+        everybody = [process.pid, *(child.pid for child in psutil.Process(process.pid).children(recursive=True))]
+        for number in everybody if first == "the driver" else everybody[::-1]:
+            os.kill(number, signal.SIGTERM)
+        _, said = process.communicate(timeout=60)
+    assert said.decode().splitlines()[-1].startswith("KeyboardInterrupt")
+
+
+def test_a_lost_template_leaves_no_worker(store: LocalStore) -> None:
+    numbers: list[int] = []
+
+    def kill() -> None:
+        numbers.extend(process.number for process in processes.all)
+        os.kill(processes.template, signal.SIGKILL)
+
+    with ProcessExecutor(1) as executor:
+        processes = executor.start()
+        threading.Timer(2.0, kill).start()
+        with pytest.raises(ClusterError):
+            run(toys.pipeline(), [toys.unit("a/slow", 4, seconds=600.0)], store, executor=executor)
+    assert len(numbers) == 1
+    end = time.monotonic() + 10.0
+    while psutil.pid_exists(numbers[0]) and psutil.Process(numbers[0]).status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_what_a_stage_started_ends_with_a_stopped_run(tmp_path: Path, how: signal.Signals) -> None:
+    with driver(tmp_path, "--trouble=child") as process:
+        end = time.monotonic() + 20.0
+        while not any(child.name() == "sleep" for child in psutil.Process(process.pid).children(recursive=True)):
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        left = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(how)
         process.wait(30)
         _, alive = psutil.wait_procs(left, timeout=10)
         assert not alive

@@ -10,6 +10,7 @@ import hashlib
 import itertools
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -78,6 +79,17 @@ def misbehave(unit: Unit) -> None:
         np.zeros(1 << 44)
     if what == "die":
         os._exit(11)
+    if what == "die-with-child":  # a child of its own holds all its files open
+        if os.fork() == 0:
+            time.sleep(600)
+        os._exit(11)
+    if what == "print-and-die":
+        print("a word of Python")
+        os._exit(11)
+    if what == "signal-and-die":  # which has no name
+        signal.raise_signal(signal.SIGRTMIN + 6)
+    if what == "child":
+        subprocess.Popen(["sleep", "600"])
     if what == "abort":  # as a failed assertion of C++ code does
         os.write(2, b"a word of compiled code\n")
         os.abort()
