@@ -193,7 +193,9 @@ class World:
         placed = place_programs(
             scene,
             self._facts(thresholds),
-            priors.bits(scene, sampling.plausible_share, sampling.predicates, instructions.directions),
+            priors.bits(
+                scene, sampling.plausible_share, sampling.predicates, instructions.directions, sampling.presence_share
+            ),
             walkable,
             sightings,
             instructions=instructions,
@@ -281,10 +283,15 @@ def open_world(source: Source, scene_id: str, agent: AgentConfig | None = None) 
 
 
 def label_priors(
-    scenes: Iterable[Scene], *, thresholds: Thresholds | None = None, sampling: SamplingConfig | None = None
+    scenes: Iterable[Scene],
+    *,
+    thresholds: Thresholds | None = None,
+    sampling: SamplingConfig | None = None,
+    directions: str = "compass",
 ) -> LabelPriors:
     """Count over scenes which labels are usual in which room types, and how often statements about such rooms are
     true.
     """
-    thresholds, anchor_size = thresholds or Thresholds(), (sampling or SamplingConfig()).anchor_size
-    return LabelPriors.merged(LabelPriors.of_scene(scene, thresholds, anchor_size) for scene in scenes)
+    thresholds, sampling = thresholds or Thresholds(), sampling or SamplingConfig()
+    counts = ((one.family, LabelPriors.of_scene(one, thresholds, sampling.anchor_size)) for one in scenes)
+    return LabelPriors.of_corpus(counts, sampling, directions)

@@ -71,7 +71,7 @@ def build_pipeline(config: Config) -> Pipeline:
             ),
             TextStage(config.text, config.instructions.wording, config.episodes.max_steps, config.seed),
         ),
-        aggregates=(PriorsAggregate(config.thresholds, config.sampling.anchor_size),),
+        aggregates=(PriorsAggregate(config.thresholds, config.sampling, config.instructions.directions),),
         tables={name: TableSpec(TABLES[name], SORT_KEYS[name], _STAGE_OF[name]) for name in TABLES},
     )
 

@@ -138,18 +138,24 @@ class ConditionPool:
         """Return what `of` returns for each value of `alone` in `ways`; most of the work is shared."""
         if not referents.room.asked:
             return (cls(None, {}),) * len(ways)
-        presence = _presence(referents, bits, elsewhere, vocabulary) if referents.complete else None
         bearings = _bearings(referents, asked)
         counted = [
             (truths, _Counted.of(referents, truths, bits))
             for truths in statement_truths(referents, vocabulary)
             if truths.predicate in asked
         ]
-        return tuple(cls(presence, {**_relations(referents, counted, alone=alone), **bearings}) for alone in ways)
+        elsewhere = {*elsewhere}
+        return tuple(
+            cls(
+                _presence(referents, bits, elsewhere, vocabulary, alone=alone) if referents.complete else None,
+                {**_relations(referents, counted, alone=alone), **bearings},
+            )
+            for alone in ways
+        )
 
 
 def _presence(
-    referents: Referents, bits: PriorBits, elsewhere: Iterable[str], vocabulary: Vocabulary
+    referents: Referents, bits: PriorBits, elsewhere: set[str], vocabulary: Vocabulary, *, alone: bool
 ) -> PresencePool | None:
     room_type, labels = referents.room.label, referents.arrays.labels
     varies = bits.varies.get(room_type, frozenset())
@@ -161,15 +167,22 @@ def _presence(
     true = [Question(label, True, tuple(members[label])) for label in sorted(members)]
     false = [
         Question(label, False, ())
-        for label in sorted(set(elsewhere) & plausible)
+        for label in sorted(elsewhere & plausible)
         if vocabulary.fit_for_text(label) and referents.lacks(label, vocabulary)
     ]
     questions, sums, evidence = {}, {}, bits.evidence(room_type)
     for truth, found in ((True, true), (False, false)):
-        seen = [bits.counts.get((room_type, q.label, "", "", False), (0, 0)) for q in found]
-        weighed = [(q, informative_weights(*counts, evidence)) for q, counts in zip(found, seen, strict=True)]
-        questions[truth] = tuple(q for q, weights in weighed if weights[truth] > 0.0)
-        sums[truth] = tuple(accumulate(weights[truth] for _, weights in weighed if weights[truth] > 0.0))
+        said = [(room_type, question.label, "", "", False) for question in found]
+        even = [bits.even.get(statement, UNCHANGED) for statement in said]
+        factors = [own.one if alone else own.several for own in even]
+        weights = [informative_weights(*bits.counts.get(statement, (0, 0)), evidence)[truth] for statement in said]
+        weighed = [
+            (question, weight * (factor if truth else 1.0 / factor))
+            for question, weight, factor in zip(found, weights, factors, strict=True)
+            if weight > 0.0
+        ]
+        questions[truth] = tuple(question for question, _ in weighed)
+        sums[truth] = tuple(accumulate(weight for _, weight in weighed))
     return PresencePool(questions, sums) if all(questions.values()) else None
 
 

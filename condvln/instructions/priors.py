@@ -22,19 +22,21 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.instructions.expected_draws import FACTOR_STEPS, Statement
 from condvln.instructions.informative import LabelForm, label_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
-from condvln.instructions.stagings import ByConditions, Statement, even_factors
+from condvln.instructions.stagings import ByConditions, even_factors
 from condvln.instructions.statement_counts import STATEMENT, StatementCounts
 from condvln.instructions.statements import statement_truths
+from condvln.instructions.tilts import SceneRows, tilts
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
 from condvln.scene.layouts import layout_of
 from schemas.canonical import JSON
-from schemas.config import PredicateWeights, Thresholds
+from schemas.config import PredicateWeights, SamplingConfig, Thresholds
 from schemas.config.constants import EVIDENCE, RATE_STEPS, STAGINGS
 from schemas.program import asked_in
 
@@ -51,10 +53,12 @@ PRIORS: Final = pa.schema(
         pa.field("definite", pa.bool_(), nullable=False),
         pa.field("n_true", pa.int64(), nullable=False),
         pa.field("n_false", pa.int64(), nullable=False),
+        pa.field("tilt", pa.int64(), nullable=False),
     ]
 )
 """The number of rooms of a type in which a statement is usable as true and as false, by layout and, in a layout, by
-scene id (both empty for scenes that are not variants of a layout).
+scene id (both empty for scenes that are not variants of a layout). `tilt` is 0 but in rows without counts: in those,
+`staging` is a family, and `tilt` says by how much weights of the statement are changed in its scenes (see ``tilts``).
 
 A row with an empty label counts the rooms of a type. A row with an empty predicate is the presence of a label, counted
 as false in rooms where absence can be claimed: another room of the same scene has the label, and no word for it fits
@@ -62,6 +66,7 @@ anything in this room.
 """
 
 DEFAULT_WEIGHTS: Final = PredicateWeights()
+DEFAULT_PRESENCE: Final = SamplingConfig().presence_share
 
 LAYOUTS_KEPT: Final = 8
 """Number of layouts whose factors are kept for the next scene of the layout."""
@@ -70,6 +75,7 @@ MERGE_ROWS: Final = 200_000
 """Number of rows collected before they are summed: limits memory without summing for every scene."""
 
 _KEYS: Final = ("layout", "staging", *STATEMENT)
+_SUMMED: Final = ("n_true", "n_false", "tilt")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +92,9 @@ class PriorBits:
     staged : room types for which only rooms of the scene's layout are counted
     label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
         statements (``informative.label_weights``); of room types that are not `staged`
-    even : by statement about a room type that is `staged`, the factor by which the weight of a true one is multiplied
-        and that of a false one divided (``stagings.even_factors``), in programs of one condition and of several
+    even : by statement, the factor by which the weight of a true one is multiplied and that of a false one divided, in
+        programs of one condition and of several; by ``stagings.even_factors`` for a room type that is `staged`, else by
+        ``tilts``
     rates : the hash of all rates, see `document`; empty where it is not known yet
     """
 
@@ -192,6 +199,30 @@ class LabelPriors:
                 pending, rows = [_summed(pending)], 0
         return cls((_summed(pending),), summed=True)
 
+    @classmethod
+    def of_corpus(
+        cls, scenes: Iterable[tuple[str, LabelPriors]], sampling: SamplingConfig, directions: str = "compass"
+    ) -> LabelPriors:
+        """Return the sum of the counts of all scenes of a run, and how much weights of statements are changed so that
+        each is drawn about as often true as false over all scenes of a family.
+
+        scenes : family and counts of each scene, in the order of their ids, so that sums are the same to the last bit
+        """
+        read: dict[str, SceneRows] = {}
+
+        def noted() -> Iterator[LabelPriors]:
+            for family, counts in scenes:
+                rows = counts.rows()
+                if rows.num_rows and not rows["layout"][0].as_py():
+                    read.setdefault(family, SceneRows(family, directions)).add(rows, MERGE_ROWS)
+                yield counts
+
+        summed = cls.merged(noted())
+        counted = summed._statements.all()
+        factors = {form: both for forms in summed._weights.values() for form, both in forms.factors.items()}
+        found = [_tilted(name, tilts(rows, counted, factors, sampling)) for name, rows in sorted(read.items())]
+        return cls.merged([summed, cls(tuple(found))])
+
     @cached_property
     def _counts(self) -> pa.Table:
         return self.parts[0] if self.summed else _summed(self.parts)
@@ -215,6 +246,7 @@ class LabelPriors:
         plausible_share: float,
         predicates: PredicateWeights = DEFAULT_WEIGHTS,
         directions: str = "compass",
+        presence_share: float = DEFAULT_PRESENCE,
     ) -> PriorBits:
         """Return the part of the priors that `scene` reads.
 
@@ -222,8 +254,9 @@ class LabelPriors:
         ----------
         plausible_share : a label is plausible in a room type if at least this share of the rooms of the type have an
             object with the label
-        predicates, directions : the weights of the predicates with which conditions are drawn, and the directions that
-            texts may use; both matter only for stagings of a layout
+        predicates, directions, presence_share : the weights of the predicates with which conditions are drawn, the
+            directions that texts may use, and the share of conditions of presence in scenes of several rooms; all
+            matter only for stagings of a layout
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
@@ -250,7 +283,9 @@ class LabelPriors:
                 there = counts.get((t, x, "", "", False), (0, 0))[0]
                 counts[t, x, "", "", False] = (there, (stagings if t in staged else rooms)[t] - there)
         weights = self._label_weights(seen, set(types) - staged)
-        even = self._even(scene, counts, staged, predicates, directions) if staged else {}
+        tilted = self._tilts.get(scene.family, {})
+        even = {key: tilted[key] for key in counts if key in tilted and key[0] not in staged}
+        even |= self._even(scene, counts, staged, predicates, directions, presence_share) if staged else {}
         rates = ""
         if not scene.single_room:
             parts = [
@@ -280,6 +315,17 @@ class LabelPriors:
         return [found[t, x] for t in sorted(types) for x in labels if (t, x) in found]
 
     @cached_property
+    def _tilts(self) -> dict[str, dict[Statement, ByConditions]]:
+        """The factors of statements by family."""
+        found: dict[str, dict[Statement, ByConditions]] = {}
+        rows = self._counts.filter(pc.not_equal(self._counts["tilt"], 0))
+        columns = [rows[name].to_pylist() for name in ("staging", *STATEMENT)]
+        factors = np.exp2(rows["tilt"].to_numpy() / FACTOR_STEPS).tolist()
+        for (family, *statement), factor in zip(zip(*columns, strict=True), factors, strict=True):
+            found.setdefault(family, {})[tuple(statement)] = ByConditions(factor, factor)
+        return found
+
+    @cached_property
     def _statements(self) -> StatementCounts:
         return StatementCounts(self._counts)
 
@@ -298,21 +344,25 @@ class LabelPriors:
         staged: frozenset[str],
         predicates: PredicateWeights,
         directions: str,
+        presence_share: float,
     ) -> dict[Statement, ByConditions]:
         """Return the factors of `statements`; see `PriorBits`. They come from all statements about all stagings of the
         scene's layout.
         """
-        asked = tuple(sorted(asked_in(scene.family) & sayable(directions)))
+        asked = ("", *sorted(asked_in(scene.family) & sayable(directions)))
         weights = tuple((group, getattr(predicates, group)) for group in PREDICATE_GROUPS)
-        found = _factors(self, layout_of(scene.scene_id), tuple(sorted(staged)), asked, weights)
+        found = _factors(self, layout_of(scene.scene_id), tuple(sorted(staged)), asked, weights, presence_share)
         return {key: factors for key, factors in found.items() if key in statements}
 
     def about(self, layout: str, room_types: Sequence[str], predicates: Sequence[str]) -> pa.Table:
-        """Return the rows about rooms of a layout that are of one of the types and have one of the predicates."""
+        """Return the rows about labels in rooms of a layout that are of one of the types and have one of the
+        predicates, the empty one for presence.
+        """
         read = pc.and_(
             pc.equal(self._counts["layout"], layout),
             pc.is_in(self._counts["room_type"], pa.array(room_types, pa.string())),
         )
+        read = pc.and_(read, pc.not_equal(self._counts["label"], ""))
         asked = pc.is_in(self._counts["predicate"], pa.array(predicates, pa.string()))
         return self._counts.filter(pc.and_(read, asked))
 
@@ -333,11 +383,12 @@ def _factors(
     staged: tuple[str, ...],
     asked: tuple[str, ...],
     weights: tuple[tuple[str, float], ...],
+    presence_share: float,
 ) -> Mapping[Statement, ByConditions]:
     """Return the factors of all statements about the stagings of a layout: equal for all its scenes, since what one
     scene holds does not enter.
     """
-    return even_factors(priors.about(layout, staged, asked), dict(weights))
+    return even_factors(priors.about(layout, staged, asked), dict(weights), presence_share)
 
 
 @lru_cache(maxsize=LAYOUTS_KEPT)
@@ -349,8 +400,15 @@ def _of_layout(priors: LabelPriors, layout: str) -> StatementCounts:
 
 def _summed(parts: Sequence[pa.Table]) -> pa.Table:
     joined = pa.concat_tables([PRIORS.empty_table(), *parts]).group_by(list(_KEYS))
-    sums = joined.aggregate([("n_true", "sum"), ("n_false", "sum")]).rename_columns([*_KEYS, "n_true", "n_false"])
+    sums = joined.aggregate([(name, "sum") for name in _SUMMED]).rename_columns([*_KEYS, *_SUMMED])
     return sums.sort_by([(key, "ascending") for key in _KEYS]).cast(PRIORS)
+
+
+def _tilted(family: str, found: Mapping[Statement, int]) -> pa.Table:
+    """Return the tilts of a family's statements as rows."""
+    rows = [("", family, *statement, 0, 0, tilt) for statement, tilt in found.items()]
+    columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in PRIORS]
+    return pa.table([pa.array(c, kind.type) for c, kind in zip(columns, PRIORS, strict=True)], schema=PRIORS)
 
 
 def _of_rooms(
@@ -422,7 +480,8 @@ class _Rows:
         n = len(self._columns[0])
         kinds = [kind.type for kind in PRIORS]
         columns = [pa.repeat(pa.scalar(value, pa.string()), n) for value in same]
-        columns += [pa.array(values, kind) for values, kind in zip(self._columns, kinds[3:], strict=True)]
+        columns += [pa.array(values, kind) for values, kind in zip(self._columns, kinds[3:-1], strict=True)]
+        columns.append(pa.repeat(pa.scalar(0, pa.int64()), n))
         return pa.table(columns, schema=PRIORS)
 
 

@@ -119,7 +119,7 @@ class ProgramSampler:
         }
         self._names = room_refs(list(self.referents.values()), words)
         # Statements about stagings have other weights in programs of one condition.
-        self.condition_sampler, *others = self._condition_samplers(bits, (False, True) if bits.even else (False,))
+        self.condition_sampler, *others = self._condition_samplers(bits, (False, True) if bits.staged else (False,))
         self._alone = others[0] if others else self.condition_sampler
         if not isinstance(stops, Stops):
             stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from condvln.instructions.stagings import Statement
+from condvln.instructions.expected_draws import Statement
 from condvln.instructions.statements import ANCHOR_JOINT
 
 __all__ = ["STATEMENT", "StatementCounts"]
@@ -93,6 +93,10 @@ class StatementCounts:
         return dict(
             zip(statements, zip(self._true[rows].tolist(), self._false[rows].tolist(), strict=True), strict=True)
         )
+
+    def all(self) -> Counts:
+        """Return the counts of all statements."""
+        return self.counts(np.arange(len(self._true)))
 
     def of_labels(self, rows: Rows, types: Collection[str]) -> Rows:
         """Return those of `rows` that are about labels in rooms of `types`: all but the numbers of rooms."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool, Form, PresencePool, RelationPool
 from condvln.instructions.degeneracy import Claim
+from condvln.instructions.expected_draws import FULL_MASS
 from condvln.instructions.kernels.conditions import NOTHING, Given, StatementTables
 from condvln.instructions.referents import Referents
 from condvln.labels import Vocabulary
@@ -28,15 +29,26 @@ class AskedRoom:
     """The statements about one room, and the weights with which they are drawn.
 
     bearings : some statements are egocentric
+    groups : the groups of forms; one whose statements together have little weight, since their truths hardly vary, is
+        used less
     share : how often a condition about the room is one of presence
     """
 
     def __init__(self, referents: Referents, pool: ConditionPool, groups: Groups, label_only: float) -> None:
-        self.referents, self.pool, self.groups = referents, pool, groups
+        self.referents, self.pool = referents, pool
         self.bearings = any(form[0] in BEARINGS for form in pool.relations)
+        masses = [sum(pool.relations[form].mass for form in forms) for forms, _ in groups]
+        self.groups: Groups = tuple(
+            (forms, weight * min(1.0, mass / FULL_MASS)) for (forms, weight), mass in zip(groups, masses, strict=True)
+        )
         # If a room has few statements whose truth varies, it is rarely asked whether something is there.
         sums = () if pool.presence is None else pool.presence.sums.values()
-        self.share = label_only * min([1.0, *(side[-1] for side in sums)])
+        presence = label_only * min([1.0, *(side[-1] for side in sums)])
+        full, used = (
+            sum(weight for forms, weight in some if forms[0][0] not in BEARINGS) for some in (groups, self.groups)
+        )
+        rest = (1.0 - presence) * (used / full if full else 1.0)
+        self.share = presence / (presence + rest) if presence else 0.0
 
     def here(self, start: bool) -> Groups:
         """Return the groups of forms that conditions may use, with weights; egocentric predicates only if `start`,

@@ -13,12 +13,12 @@ from factory.stage import Aggregate, Stage, StageOutput
 from factory.unit import Unit
 from jobs.stages.inputs import Tables, dump
 from schemas.canonical import JSON
-from schemas.config import Thresholds
+from schemas.config import SamplingConfig, Thresholds
 
 __all__ = ["CountStage", "PriorsAggregate"]
 
 
-COUNTING: Final = 12
+COUNTING: Final = 13
 """Version of how statements are counted, in a scene and over all scenes."""
 
 
@@ -45,17 +45,23 @@ class CountStage(Stage):
 
 @dataclass
 class PriorsAggregate(Aggregate):
-    """Sums of what is counted in each scene, over all scenes of all sources."""
+    """Sums of what is counted in each scene, over all scenes of all sources, and the weights of statements that these
+    make even.
+    """
 
     thresholds: Thresholds
-    anchor_size: float
+    sampling: SamplingConfig
+    directions: str
     name: str = "priors"
     version: int = COUNTING
     after: str = "counts"
     tables: tuple[str, ...] = ("counts",)
 
     def parameters(self) -> JSON:
-        return {"thresholds": dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
+        sampling = dump(self.sampling)
+        read = {key: sampling[key] for key in ("anchor_size", "plausible_share", "presence_share", "predicates")}
+        return {"thresholds": dump(self.thresholds), "sampling": read, "directions": self.directions}
 
     def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
-        return LabelPriors.merged(LabelPriors.from_table(one["counts"]) for _, one in tables).table()
+        scenes = ((unit.partition("/")[0], LabelPriors.from_table(one["counts"])) for unit, one in tables)
+        return LabelPriors.of_corpus(scenes, self.sampling, self.directions).table()

@@ -197,7 +197,7 @@ def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions
 
     def read() -> PriorBits:
         counts = _priors.get((priors,), lambda: LabelPriors.from_table(priors))
-        return counts.bits(scene, sampling.plausible_share, sampling.predicates, directions)
+        return counts.bits(scene, sampling.plausible_share, sampling.predicates, directions, sampling.presence_share)
 
     return _bits.get((scene, priors, sampling, directions), read)
 

@@ -266,19 +266,17 @@ def draw_conditions(
             pool = _statements(room, int(room == start_room and bearings > 0), tables, stream, left)
             if pool < 0:
                 continue
+            # One draw of each truth: if statements that clash were drawn again, those with little weight would be asked
+            # where the others are used up.
             for turn in range(2):
                 begin, end = tables.spans[pool, 1 - turn, 0], tables.spans[pool, 1 - turn, 1]
-                found = False
-                for _again in range(attempts):
-                    place = cumulative(tables.sums, begin, end, stream, left)
-                    if rules[place] == UNKNOWN:
-                        _claim(claims, k, room, rooms[r, 1], pool, place, tables)
-                        rules[place] = clash(claims, k, given, tables.overlap)
-                    if rules[place] == NOTHING:
-                        found = True
-                        break
-                    clashes[rules[place]] += 1
+                place = cumulative(tables.sums, begin, end, stream, left)
+                if rules[place] == UNKNOWN:
+                    _claim(claims, k, room, rooms[r, 1], pool, place, tables)
+                    rules[place] = clash(claims, k, given, tables.overlap)
+                found = rules[place] == NOTHING
                 if not found:
+                    clashes[rules[place]] += 1
                     break
                 if truths[k] == (turn == 0):
                     drawn[k, 0], drawn[k, 1], drawn[k, 2] = r, pool, place

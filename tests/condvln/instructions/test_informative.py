@@ -36,7 +36,7 @@ COUNTED = st.lists(
 
 
 def table_of(counted: Counted) -> pa.Table:
-    rows = [("", "", "bedroom", label, "near", *rest) for label, *rest in counted]
+    rows = [("", "", "bedroom", label, "near", *rest, 0) for label, *rest in counted]
     columns = list(zip(*rows, strict=True)) or [()] * len(PRIORS)
     return pa.table([pa.array(c, f.type) for c, f in zip(columns, PRIORS, strict=True)], schema=PRIORS)
 

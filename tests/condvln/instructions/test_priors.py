@@ -46,7 +46,7 @@ def test_order_and_grouping_do_not_matter(scenes) -> None:
         grouped = [LabelPriors.merged(shuffled[:cut]), LabelPriors.merged(shuffled[cut:])]
         assert LabelPriors.merged(grouped).table().equals(whole)
     assert whole.schema.equals(PRIORS)
-    keys = list(zip(*(whole[c].to_pylist() for c in PRIORS.names[:-2]), strict=True))
+    keys = list(zip(*(whole[c].to_pylist() for c in PRIORS.names[:-3]), strict=True))
     assert keys == sorted(set(keys))
 
 

@@ -1,0 +1,81 @@
+"""Scenes with unrelated names in which nearly all stands where it usually does, so that nearly everything that could be
+asked of a scene has its usual truth there.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from condvln.bias import judge
+from condvln.bias.report import ALL, BiasReport
+from condvln.instructions import LabelPriors
+from condvln.relations import TextFacts, relate_scene, text_facts
+from condvln.scene import Room, Scene, SceneObject, round_mm
+from schemas.config import SamplingConfig, Thresholds
+from tests.condvln.instructions.made_sampler import made_sampler
+
+T = Thresholds()
+LABELS = (
+    "sofa", "bed", "table", "chair", "lamp", "sink", "refrigerator", "plant", "desk", "television", "cabinet", "rug",
+)  # fmt: skip
+SCENES = 150
+MOVED = 0.15
+"""Chance of a thing to stand elsewhere than usual."""
+SIDE = 8.0
+
+Read = tuple[Scene, dict[str, TextFacts]]
+
+
+def apartment(number: int) -> Scene:
+    usual = np.random.default_rng(0).uniform(0.0, SIDE, (len(LABELS), 2))
+    rng = np.random.default_rng([1, number])
+    objects = []
+    for label, place in zip(LABELS, usual, strict=True):
+        moved = rng.uniform(0.0, SIDE, 2)
+        x, z = moved if rng.random() < MOVED else place
+        if rng.random() < 0.5:  # not all is everywhere
+            continue
+        box = round_mm(np.array([[x - 0.3, 0.0, z - 0.3], [x + 0.3, 0.8, z + 0.3]]))
+        objects.append(SceneObject(label, "r0", label, label, round_mm(box.mean(axis=0)), aabb=box))
+    return Scene(
+        family="made",
+        scene_id=f"apartment_{number:03}",
+        root=Path("."),
+        rooms=(Room("r0", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True),),
+        objects=tuple(objects),
+    )
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Read]:
+    made = [apartment(number) for number in range(SCENES)]
+    return [(scene, {room: text_facts(found, T) for room, found in relate_scene(scene, T).items()}) for scene in made]
+
+
+def verdict(scenes: list[Read], priors: LabelPriors, rows_of) -> BiasReport:
+    wanted = {"simple": 20}
+    return judge(
+        row
+        for scene, facts in scenes
+        for row in rows_of(made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, candidates=1))
+    )
+
+
+def above_chance(report: BiasReport, guesser: str) -> float:
+    (found,) = [f for f in report.findings if f.guesser == guesser and f.part == ALL]
+    return found.accuracy - found.chance
+
+
+def test_what_is_nearly_always_true_is_asked_as_often_where_it_is_false(scenes: list[Read], rows_of) -> None:
+    counts = [("made", LabelPriors.of_scene(scene, T, 0.3)) for scene, _ in scenes]
+    counted = verdict(scenes, LabelPriors.merged(one for _, one in counts), rows_of)
+    evened = verdict(scenes, LabelPriors.of_corpus(counts, SamplingConfig()), rows_of)
+    assert above_chance(counted, "whole statement") > 0.06
+    assert not counted.passed
+    assert abs(above_chance(evened, "whole statement")) < 0.03
+    assert above_chance(evened, "against whole statement") < 0.03
+    assert evened.passed, evened.verdict()
+    assert evened.episodes > 0.95 * counted.episodes
