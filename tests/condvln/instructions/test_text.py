@@ -12,6 +12,7 @@ import pytest
 from lark import Lark, Tree, logger
 
 from condvln.instructions import (
+    LabelPriors,
     instruction_id,
     names_compass,
     oracle_linear,
@@ -30,10 +31,11 @@ from condvln.language import InstructionText, language_report
 from condvln.scene import Scene
 from condvln.verify import phrases as verified
 from condvln.verify.text_reader import Unreadable, read
-from schemas.config import WordingConfig
+from schemas.config import Thresholds, WordingConfig
 from schemas.errors import FormatError
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program
 from tests.condvln.instructions.hand_written import KITCHEN, LIVING, PROGRAM
+from tests.condvln.instructions.made_sampler import made_sampler
 
 
 @pytest.fixture(scope="module", params=LANGUAGES)
@@ -165,6 +167,11 @@ def test_compass_words_are_noticed(texts, code: str) -> None:
 def test_every_phrase_and_every_template_is_used(sampled, code: str) -> None:
     programs = [p for _, _, _, programs in sampled for p in programs]
     texts = [render(p, k, f"variety {turn}", code).lower() for turn in range(3) for k, p in enumerate(programs)]
+    # Two things that may be in one room, said in one clause, are rare.
+    for scene, facts, _, _ in sampled[:2]:
+        bits = LabelPriors.merged(LabelPriors.of_scene(one, Thresholds(), 0.3) for one, *_ in sampled).bits(scene, 0.05)
+        sampler = made_sampler(scene, facts, bits, per_category={"chain": 150}, candidates=1)
+        texts += [render(p, k, "variety", code).lower() for k, p in enumerate(sampler.candidates("chain"))]
     # The voice "list" is rare, and so are texts with a room that is named by a thing in it.
     rare = WordingConfig.model_validate({"language": code, "voices": ["list"]})
     tagged = [p for p in programs if any(one.room.anchor_label for one in p.named)]
