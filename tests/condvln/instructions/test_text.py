@@ -12,7 +12,6 @@ import pytest
 from lark import Lark, Tree, logger
 
 from condvln.instructions import (
-    LabelPriors,
     instruction_id,
     names_compass,
     oracle_linear,
@@ -31,11 +30,10 @@ from condvln.language import InstructionText, language_report
 from condvln.scene import Scene
 from condvln.verify import phrases as verified
 from condvln.verify.text_reader import Unreadable, read
-from schemas.config import Thresholds, WordingConfig
+from schemas.config import WordingConfig
 from schemas.errors import FormatError
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program
 from tests.condvln.instructions.hand_written import KITCHEN, LIVING, PROGRAM
-from tests.condvln.instructions.made_sampler import made_sampler
 
 
 @pytest.fixture(scope="module", params=LANGUAGES)
@@ -167,11 +165,6 @@ def test_compass_words_are_noticed(texts, code: str) -> None:
 def test_every_phrase_and_every_template_is_used(sampled, code: str) -> None:
     programs = [p for _, _, _, programs in sampled for p in programs]
     texts = [render(p, k, f"variety {turn}", code).lower() for turn in range(3) for k, p in enumerate(programs)]
-    # Two things that may be in one room, said in one clause, are rare.
-    for scene, facts, _, _ in sampled[:2]:
-        bits = LabelPriors.merged(LabelPriors.of_scene(one, Thresholds(), 0.3) for one, *_ in sampled).bits(scene, 0.05)
-        sampler = made_sampler(scene, facts, bits, per_category={"chain": 150}, candidates=1)
-        texts += [render(p, k, "variety", code).lower() for k, p in enumerate(sampler.candidates("chain"))]
     # The voice "list" is rare, and so are texts with a room that is named by a thing in it.
     rare = WordingConfig.model_validate({"language": code, "voices": ["list"]})
     tagged = [p for p in programs if any(one.room.anchor_label for one in p.named)]
@@ -180,7 +173,9 @@ def test_every_phrase_and_every_template_is_used(sampled, code: str) -> None:
     said = " ".join(words.expanded(text) for text in texts)
     for name, phrases in words.slots.items():
         for phrase in phrases:
-            if name != "facing":
+            # "in the same room" is said of two indefinite things there in one clause: too rare for so few programs, and
+            # tested by itself.
+            if name not in ("facing", "same_place"):
                 pattern = re.sub(r"\\{\w+\\}", r"\\w+", re.escape(words.expanded(phrase.lower())))
                 assert re.search(pattern, said), (name, phrase)
 
