@@ -230,3 +230,20 @@ def test_statements_about_what_people_confuse_are_counted_as_they_are_drawn() ->
     }
     assert found == told
     assert ("apartment", "ottoman", "near", "bed", False) in told
+
+
+def test_factors_are_of_a_family_and_kept_in_the_table(make_scene) -> None:
+    scenes = [make_scene(500 + k, ("kitchen", "bedroom"), 9) for k in range(30)]
+    counts = [counted(scene) for scene in scenes]
+    fitted = LabelPriors.of_corpus([("made", one) for one in counts], SamplingConfig())
+    table = fitted.table()
+    plain = table.filter(pc.equal(table["tilt"], 0))
+    assert plain.equals(LabelPriors.merged(counts).table())
+    assert set(table.filter(pc.not_equal(table["tilt"], 0))["staging"].to_pylist()) == {"made"}
+    bits = LabelPriors.from_table(table).bits(scenes[0], 0.05)
+    assert bits == fitted.bits(scenes[0], 0.05)
+    assert len(bits.even) > 20
+    assert {statement[2] for statement in bits.even} >= {"", "near"}
+    assert bits.document() != LabelPriors.merged(counts).bits(scenes[0], 0.05).document()
+    elsewhere = LabelPriors.of_corpus([("other", one) for one in counts], SamplingConfig())
+    assert not elsewhere.bits(scenes[0], 0.05).even
