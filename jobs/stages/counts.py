@@ -60,7 +60,11 @@ class PriorsAggregate(Aggregate):
     def parameters(self) -> JSON:
         sampling = dump(self.sampling)
         read = {key: sampling[key] for key in ("anchor_size", "plausible_share", "presence_share", "predicates")}
-        return {"thresholds": dump(self.thresholds), "sampling": read, "directions": self.directions}
+        return {
+            "thresholds": dump(self.thresholds),
+            "sampling": read,
+            "instructions": {"directions": self.directions},
+        }
 
     def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
         scenes = ((unit.partition("/")[0], LabelPriors.from_table(one["counts"])) for unit, one in tables)

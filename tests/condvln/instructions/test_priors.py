@@ -17,6 +17,7 @@ from condvln.instructions.priors import PRIORS
 from condvln.instructions.referents import Referents
 from condvln.instructions.statement_counts import StatementCounts
 from condvln.instructions.statements import statement_truths
+from condvln.instructions.tilts import SceneRows
 from condvln.labels import vocabulary
 from condvln.labels.confusion import also_called
 from condvln.relations import relate_room, text_facts
@@ -247,3 +248,22 @@ def test_factors_are_of_a_family_and_kept_in_the_table(make_scene) -> None:
     assert bits.document() != LabelPriors.merged(counts).bits(scenes[0], 0.05).document()
     elsewhere = LabelPriors.of_corpus([("other", one) for one in counts], SamplingConfig())
     assert not elsewhere.bits(scenes[0], 0.05).even
+
+
+@pytest.mark.parametrize(("number", "step"), [(8, 1), (9, 2), (16, 2), (17, 4), (23, 4)])
+def test_of_very_many_scenes_every_second_one_is_left_out(make_scene, number: int, step: int) -> None:
+    rows = [counted(make_scene(700 + k, ("kitchen", "bedroom"), 5)).rows() for k in range(number)]
+    few, some = SceneRows("made", "compass", most_scenes=8), SceneRows("made", "compass")
+    for k, one in enumerate(rows):
+        few.add(one, 0)  # read at once
+        if k % step == 0:
+            some.add(one, 0)
+
+    def found(read: SceneRows) -> set[tuple[object, ...]]:
+        rooms = read.scene_of_room
+        columns = [column.tolist() for column in read.occurrences()]
+        assert rooms[columns[3]].tolist() == columns[2]
+        return {(read.statements[own], *rest) for own, *rest in zip(*columns, strict=True)}
+
+    assert found(few) == found(some)
+    assert few.scene_of_room.tolist() == some.scene_of_room.tolist()
