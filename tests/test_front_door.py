@@ -15,10 +15,9 @@ import pytest
 from rich.console import Console
 
 import condvln
-from condvln.instructions import LabelPriors
 from condvln.samples import make_samples
 from condvln.sources.registry import open_source
-from condvln.world import open_world
+from condvln.world import label_priors, open_world
 from jobs.generate import run_generate
 from jobs.workspace import published
 from schemas.config import Config, InstructionsConfig, SourceConfig, TextConfig
@@ -87,10 +86,7 @@ def test_a_world_s_episodes_are_those_of_a_run(tmp_path: Path) -> None:
     snapshot = published(config)
     rows = snapshot.table("episodes", list(columns)).to_pylist()
     opened = open_source("procthor", str(tmp_path / "scenes"))
-    priors = LabelPriors.merged(
-        LabelPriors.of_scene(opened.read(name), config.thresholds, config.sampling.anchor_size)
-        for name in opened.scene_ids()
-    )
+    priors = label_priors(opened.read(name) for name in opened.scene_ids())
     made = [
         (name, episode.episode_id, episode.instruction_text, episode.max_steps)
         for name in opened.scene_ids()

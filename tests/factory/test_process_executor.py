@@ -15,6 +15,7 @@ from functools import partial
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import psutil
@@ -77,10 +78,11 @@ def test_an_error_while_loading_is_the_run_s(store: LocalStore) -> None:
     assert children() == before
 
 
-def test_kernels_are_loaded_before_a_fork_and_leave_one_thread() -> None:
+def test_kernels_are_loaded_before_a_fork_and_leave_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forking a process of several threads could leave a lock held for ever. The thread with which Arrow's allocator
     cleans up is no danger: the allocator takes its locks before a fork and frees them in the child.
     """
+    monkeypatch.setattr("jobs.generate._ray_is_up", lambda: False)
     with open_executor(RayConfig(workers=1), False, lambda _: None, ["json scan", "paths"]) as executor:
         assert isinstance(executor, ProcessExecutor)
         processes = executor.start()
@@ -113,9 +115,19 @@ def test_a_script_without_a_guard_for_its_main_part_works(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("ray", "kind"), [({"workers": 2}, ProcessExecutor), ({"workers": 2, "address": "local"}, RayExecutor)]
 )
-def test_ray_is_used_where_it_is_named(ray: dict[str, Any], kind: type) -> None:
+def test_ray_is_used_where_it_is_named(ray: dict[str, Any], kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jobs.generate._ray_is_up", lambda: False)
     with open_executor(RayConfig(**ray), False, lambda _: None) as executor:
         assert type(executor) is kind
+
+
+def test_a_ray_that_this_process_has_started_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: True))
+    with open_executor(RayConfig(workers=2), False, lambda _: None) as executor:
+        assert isinstance(executor, RayExecutor)
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
+    with open_executor(RayConfig(workers=2), False, lambda _: None) as executor:
+        assert isinstance(executor, ProcessExecutor)
 
 
 # ---- sharing the machine

@@ -32,7 +32,7 @@ from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsC
 runner = CliRunner()
 
 Run = tuple[Config, Report]
-BOUNDED = "nested 3-9 m 60-85 words"
+BOUNDED = "nested 4-14 m 55-95 words"
 
 
 def measured(config: Config, stage: str, measure: str) -> dict[str, int]:
@@ -182,7 +182,7 @@ def celled(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Conf
     cells = [
         InstructionCell(category="simple", moves=2, observability="O0", count=3),
         InstructionCell(category="long_chain", composition="C0", moves=2, count=4),
-        InstructionCell(category="nested", route=(3.0, 9.0), words=(60, 85), count=3),
+        InstructionCell(category="nested", route=(4.0, 14.0), words=(55, 95), count=3),
     ]
     config = Config(
         name="cells",
@@ -225,9 +225,9 @@ def test_a_cell_bounded_in_metres_and_words_holds_nothing_else(celled: Config) -
     ]
     assert 0 < len(rows) == bounded.placed <= bounded.wanted == 6
     for row in rows:
-        assert 3.0 <= row["route_length"] <= 9.0
-        assert all(3.0 <= leaf["route_length"] <= 9.0 for leaf in row["leaves"]), "nothing tells the gold one"
-        assert 60 <= len(row["instruction_text"].split()) == row["words"] <= 85
+        assert 4.0 <= row["route_length"] <= 14.0
+        assert all(4.0 <= leaf["route_length"] <= 14.0 for leaf in row["leaves"]), "nothing tells the gold one"
+        assert 55 <= len(row["instruction_text"].split()) == row["words"] <= 95
     assert bounded.rejected["route_missed"] > 0 < bounded.undrawn["words_missed"]
     assert bounded.candidates == bounded.placed + bounded.rejected.total()
 

@@ -115,8 +115,9 @@ def test_a_log_says_what_is_left_and_which_unit_takes_long() -> None:
     ],
 )
 def test_the_executor_is_the_one_configured(
-    ray: dict[str, object], inline: bool, kind: type[object], tmp_path: Path
+    ray: dict[str, object], inline: bool, kind: type[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("jobs.generate._ray_is_up", lambda: False)  # other tests of this process may have started one
     config = Config(
         name="x",
         store=tmp_path,

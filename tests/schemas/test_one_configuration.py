@@ -75,15 +75,16 @@ TECHNICAL = {
     "instructions/referents.py": {"ALTERNATIVES", "ROOM_NAMES"},
     "instructions/balance.py": {"BALANCING_ROUNDS", "LEAST_WEIGHT"},
     "instructions/informative.py": {"EXACT", "PSEUDOCOUNT"},
-    "instructions/stagings.py": {
-        "COIN_PART",
-        "COIN_PART_ALONE",
+    "instructions/expected_draws.py": {
         "EVENING_ROUNDS",
         "FACTOR_STEPS",
+        "FULL_MASS",
         "LEAST_SHARE",
         "MOST_A_ROUND",
         "MOST_OCTAVES",
     },
+    "instructions/stagings.py": {"MANY_STAGINGS"},
+    "instructions/tilts.py": {"COIN_PART", "MOST_SCENES", "SCENES_ADDED"},
     # Voices of the text: wordings that mean the same, and where a sentence is split.
     "instructions/renderer.py": {
         "CHECK_SHARE",

@@ -36,6 +36,32 @@ def explored(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> Request:
+    """The request for the walks of three apartments with dozens of episodes; the folder is to be replaced."""
+    folder = tmp_path_factory.mktemp("many")
+    make_samples(folder / "data", family="replicacad", scenes=3, seed=8)
+    config = Config(
+        name="many",
+        store=folder / "store",
+        export=folder / "export",
+        sources=(SourceConfig(family="replicacad", root=folder / "data"),),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 8)),
+    )
+    assert run_generate(config, inline=True).exit_code == 0
+    counts: dict[str, int] = json.loads((folder / "export" / "export.json").read_text())["episodes"]
+    return Request(
+        target=str(folder / "export"),
+        out=Path("unset"),
+        split=max(counts, key=lambda name: counts[name]),
+        camera="tiny",
+        config=TrajectoryConfig(walks=("exploration",)),
+        layouts=("streamvln",),
+        scenes=(f"replicacad={folder / 'data'}",),
+        inline=True,
+    )
+
+
 def walks_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
     return {name: [*group] for name, group in groupby(rows(folder, "poses"), lambda row: row["trajectory"])}
 
@@ -104,8 +130,12 @@ def test_the_conditions_of_the_gold_route_are_looked_for_in_order(asked: Request
     assert looked > 20
 
 
-def test_the_renderer_shows_a_witness_before_the_decision(asked: Request, explored: Path) -> None:
+def test_the_renderer_shows_a_witness_before_the_decision(many: Request, tmp_path: Path) -> None:
     """Another implementation of sight: instance images of the camera."""
+    config = TrajectoryConfig(walks=("exploration",))
+    explored, asked = tmp_path / "out", many
+    request = to(asked, explored, config=config, layouts=("streamvln",), recipe_only=True)
+    assert make_trajectories(request).exit_code == 0
     root = Path(asked.scenes[0].partition("=")[2])
     source = open_source("replicacad", root)
     scenes = {name: source.read(name) for name in source.scene_ids()}
@@ -132,7 +162,7 @@ def test_the_renderer_shows_a_witness_before_the_decision(asked: Request, explor
                 if found & witnesses:
                     break
             shown.append(bool(found & witnesses))
-    assert len(shown) > 2
+    assert len(shown) > 20
     assert np.mean(shown) > 0.9
 
 
