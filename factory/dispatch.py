@@ -8,9 +8,10 @@ last may have been ended for what another holds.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, Protocol
 
@@ -151,7 +152,11 @@ class Dispatch:
 
     def units(self, tasks: Iterable[Task]) -> Iterator[Receipt]:
         """Yield the receipts of all units."""
-        for flight, result in self._stream((_Flight(task) for task in tasks), _task_memory):
+        with contextlib.closing(self._stream((_Flight(task) for task in tasks), _task_memory)) as stream:
+            yield from self._receipts(stream)
+
+    def _receipts(self, stream: Iterator[tuple[_Flight, Any]]) -> Iterator[Receipt]:
+        for flight, result in stream:
             if isinstance(result, Lost):
                 self._count_failed(result.kind)
                 expected = {item.unit.unit_id: item.seconds for item in flight.item.work}
@@ -169,15 +174,16 @@ class Dispatch:
 
     def packs(self, jobs: Iterable[PackJob]) -> Iterator[Packed]:
         """Yield the files that were written."""
-        for flight, result in self._stream((_Flight(job) for job in jobs), _pack_memory):
-            if isinstance(result, Lost):
-                if flight.tries >= SYSTEM_TRIES or result.kind == "raised":
-                    raise StoreError(f"{flight.item.path} could not be packed: {result.error}") from result.error
-                self._again.append(replace(flight, tries=flight.tries + 1))
-            else:
-                yield from result
+        with contextlib.closing(self._stream((_Flight(job) for job in jobs), _pack_memory)) as stream:
+            for flight, result in stream:
+                if isinstance(result, Lost):
+                    if flight.tries >= SYSTEM_TRIES or result.kind == "raised":
+                        raise StoreError(f"{flight.item.path} could not be packed: {result.error}") from result.error
+                    self._again.append(replace(flight, tries=flight.tries + 1))
+                else:
+                    yield from result
 
-    def _stream(self, flights: Iterator[_Flight], memory: Callable[[Any], int]) -> Iterator[tuple[_Flight, Any]]:
+    def _stream(self, flights: Iterator[_Flight], memory: Callable[[Any], int]) -> Generator[tuple[_Flight, Any]]:
         """Yield (flight, what came back) of each flight. The caller may put failed flights into ``_again`` to repeat
         them.
         """

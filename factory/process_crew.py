@@ -26,7 +26,7 @@ from factory.dispatch import Job, Lost, Returned
 from factory.heartbeat import Busy
 from factory.memory import SHARE
 from factory.preload import Preload
-from factory.worker_template import FORK
+from factory.worker_template import NAME_BYTES
 from schemas.errors import ClusterError, WorkerError
 
 __all__ = ["ProcessCrew", "Processes"]
@@ -67,7 +67,7 @@ class _Process:
     """A worker process, as the driver knows it.
 
     serves : number of the crew whose context the worker was sent
-    ready : it has loaded that context
+    ready : it has loaded that context, or failed to
     job : number, content and expected memory of the job that it has in hand, and whether it is to run alone
     busy : what it reported of a unit that takes long
     """
@@ -92,9 +92,8 @@ class Processes:
         self.all: list[_Process] = []
         self._rest = b""
         self._ended: dict[int, tuple[int, int]] = {}
-        # Forks are answered in their order, also those that an interrupt kept the driver from waiting for.
-        self._asked = self._answered = 0
         self._began: dict[int, int] = {}
+        self._names = itertools.count(1)
         self.numbers = itertools.count(1)
         _open_standard_files()
         ours, theirs = socket.socketpair()
@@ -110,9 +109,12 @@ class Processes:
                 # Not reached by Ctrl-C, which is the driver's to handle.
                 start_new_session=True,
             )
-        except BaseException:
+        except (OSError, TypeError) as error:
             ours.close()
-            raise
+            raise ClusterError(
+                f"the process that starts workers can't be started with Python {sys.executable!r}: {error}",
+                remedy="Correct the environment that runs this Python, or do the work in one process (--inline).",
+            ) from error
         finally:
             theirs.close()
         self._line = ours
@@ -136,16 +138,18 @@ class Processes:
             left = None if limit is None else max(limit - time.monotonic(), 0.0)
             if not wait([self._line], left):
                 return {}
-            found = self._line.recv(65536)
+            try:
+                found = self._line.recv(65536)
+            except ConnectionError:  # it ended before it read all that it was sent
+                found = b""
             if not found:
                 raise ClusterError("the process that starts workers has ended", remedy=REMEDY)
             self._rest += found
         line, _, self._rest = self._rest.partition(b"\n")
         message: dict[str, Any] = json.loads(line)
         if "began" in message:
-            self._answered += 1
             self._ended.pop(message["began"], None)  # another process had this number before
-            self._began[self._answered] = message["began"]
+            self._began[message["name"]] = message["began"]
         if "failed" in message:
             raise pickle.loads(bytes.fromhex(message["failed"]))
         if "ended" in message:
@@ -161,12 +165,12 @@ class Processes:
         """Start one more worker."""
         ours, theirs = Pipe()
         log = tempfile.TemporaryFile("a+b", buffering=0)  # noqa: SIM115 - open as long as the worker lives
-        self._asked += 1
-        name = self._asked
+        # An interrupt may keep the driver from waiting for a worker, so answers are known by a name.
+        name = next(self._names)
         process = _Process(ours, log)
         with theirs:  # open until the template has it: macOS may drop a file that is closed on its way
             try:
-                socket.send_fds(self._line, [FORK], [theirs.fileno(), log.fileno()])
+                socket.send_fds(self._line, [name.to_bytes(NAME_BYTES, "big")], [theirs.fileno(), log.fileno()])
             except OSError as error:
                 raise ClusterError("the process that starts workers has ended", remedy=REMEDY) from error
             while name not in self._began:
@@ -242,6 +246,7 @@ class ProcessCrew:
     _stillborn: int = 0
 
     def __post_init__(self) -> None:
+        self.left(())  # ends what an interrupted ``left`` of another crew has not
         self._shipped = pickle.dumps((self.context, self.most))
         self._memory = int(SHARE * machine.memory_available()) or sys.maxsize
 
@@ -281,6 +286,7 @@ class ProcessCrew:
             idle = [p for p in self.processes.all if p.job is None and not self.processes.dead(p)]
             process = idle[0] if idle else self.processes.fork()
             process.job = item  # before anything is sent: if this is interrupted, ``left`` ends the process
+            began = process.ready  # with this run, or with one before it
             try:
                 if process.serves != self.number:
                     process.ready = False
@@ -290,7 +296,6 @@ class ProcessCrew:
                 process.connection.send(("job", item[0], content))
             except OSError:
                 process.job = None
-                began = process.ready
                 error = self.processes.bury(process)
                 if not began:
                     self._count_stillborn(error)
@@ -332,7 +337,7 @@ class ProcessCrew:
             process.ready, self._stillborn = True, 0
             return None
         if kind == "busy":
-            process.busy = found
+            process.busy = found if process.job is not None else None
             return None
         if process.job is None or process.job[0] != number:
             raise ClusterError("a worker answered for a job that it does not have", remedy=REMEDY)

@@ -4,10 +4,10 @@ The template loads once what every worker needs (modules, compiled kernels) and 
 memory with it and begin to work within milliseconds. It has one thread, so that forking it is safe; a driver, which has
 several, is never forked.
 
-The driver sends one byte with two open files for each worker: a socket for jobs and a file for whatever the worker
+The driver sends a name with two open files for each worker: a socket for jobs and a file for whatever the worker
 prints. The template writes lines of JSON: ``note`` (a message for the user), ``ready``, ``failed`` (an error), and for
-each worker ``began`` (its number) and ``ended`` (its number, ``code`` of its exit, and ``signal`` that ended it). It
-ends, and its workers with it, as soon as the driver closes the control socket or is gone.
+each worker ``began`` (its number, and the ``name`` of the request) and ``ended`` (its number, ``code`` of its exit, and
+``signal`` that ended it). It ends, and its workers with it, as soon as the driver closes the control socket or is gone.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from factory.preload import Preload
 from factory.worker import Worker
 from schemas.errors import ClusterError, CondVLNError, UsageError
 
-__all__ = ["FORK", "run_template"]
+__all__ = ["NAME_BYTES", "run_template"]
 
-FORK: Final = b"f"
-"""The byte that asks for one more worker."""
+NAME_BYTES: Final = 8
+"""Length of a request for one more worker: the name by which the driver knows the request."""
 
 GRACE: Final = 5.0
 """Seconds that workers have to leave after SIGTERM, before they are killed."""
@@ -129,14 +129,14 @@ class _Template:
                         self._woken.recv(4096)
                 self._reap()
                 if self._line.fileno() in ready:
-                    asked, files, _, _ = socket.recv_fds(self._line, 1, 2)
+                    asked, files, _, _ = socket.recv_fds(self._line, NAME_BYTES, 2)
                     if not asked:
                         return
-                    self._fork(*files)
+                    self._fork(int.from_bytes(asked, "big"), *files)
         finally:
             self._end()
 
-    def _fork(self, jobs: int, log: int) -> None:
+    def _fork(self, name: int, jobs: int, log: int) -> None:
         # SIGTERM between the fork and the `try` would send the child back into ``serve`` and so on to its siblings.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         try:
@@ -171,7 +171,7 @@ class _Template:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.close(jobs)
         os.close(log)
-        self._say(began=child)
+        self._say(began=child, name=name)
 
     def _reap(self) -> None:
         for child in [*self._children]:
@@ -186,28 +186,35 @@ class _Template:
         """End the workers: what they have in hand is not committed, and made again by the next run."""
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         limit = time.monotonic() + GRACE
-        groups = [*self._children]
-        for child in groups:
+        for child in self._children:
             with contextlib.suppress(OSError):
                 os.kill(child, signal.SIGTERM)  # once: another would interrupt what the first one made it clean up
         while self._children and time.monotonic() < limit:
             for child in [*self._children]:
-                if os.waitpid(child, os.WNOHANG)[0]:
+                _end_group(child)
+                if _ended(child, os.WNOHANG):
                     self._children.discard(child)
             time.sleep(0.02)
-        for child in groups:
+        for child in self._children:
             with contextlib.suppress(OSError):
                 os.killpg(child, signal.SIGKILL)  # what is left of it, and what its stages started
-        for child in self._children:
-            os.waitpid(child, 0)
+            _ended(child, 0)
+
+
+def _ended(child: int, options: int) -> bool:
+    """Return whether a worker has ended; also if its end was taken note of just before a signal came."""
+    try:
+        return bool(os.waitpid(child, options)[0])
+    except ChildProcessError:
+        return True
 
 
 def _end_group(leader: int) -> None:
     """End what a worker has started, if the worker has ended: before its own end is taken note of, for until then its
     number can't be another's.
     """
-    if hasattr(os, "waitid") and os.waitid(os.P_PID, leader, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
-        with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):
+        if hasattr(os, "waitid") and os.waitid(os.P_PID, leader, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
             os.killpg(leader, signal.SIGKILL)
 
 

@@ -147,8 +147,8 @@ class TransientIOError(CondVLNError):
 
 
 class ClusterError(CondVLNError):
-    """Ray died or can't be reached any more, or a process of a proof was killed. What was committed stays, and the next
-    run goes on from it.
+    """Ray, or the process that starts workers, died or can't be reached any more, or a process of a proof was killed.
+    What was committed stays, and the next run goes on from it.
     """
 
 

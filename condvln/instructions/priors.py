@@ -160,8 +160,8 @@ class _Forms:
 
 @dataclass(frozen=True, eq=False)
 class LabelPriors:
-    """Counts of labels and statements in rooms. Counts of several scenes are added; their order and grouping do not
-    matter.
+    """Counts of labels and statements in rooms. Counts of several scenes are added by `merged`, in any order and
+    grouping; `of_corpus` needs the order of ids, on which sums of floats, and which scenes are left out, depend.
 
     parts : tables of schema `PRIORS`, to be summed
     summed : the one part is sorted, and no two rows of it are about the same statement
@@ -284,7 +284,9 @@ class LabelPriors:
                 counts[t, x, "", "", False] = (there, (stagings if t in staged else rooms)[t] - there)
         weights = self._label_weights(seen, set(types) - staged)
         tilted = self._tilts.get(scene.family, {})
-        even = {key: tilted[key] for key in counts if key in tilted and key[0] not in staged}
+        # Of a single room, presence is not fitted: what is absent there is absent from the whole scene.
+        fitted = [key for key in counts if key[2] or not scene.single_room]
+        even = {key: tilted[key] for key in fitted if key in tilted and key[0] not in staged}
         even |= self._even(scene, counts, staged, predicates, directions, presence_share) if staged else {}
         rates = ""
         if not scene.single_room:

@@ -41,9 +41,8 @@ SCENES_ADDED: Final = 10.0
 those with one truth would never be asked otherwise."""
 
 MOST_SCENES: Final = 8192
-"""Number of scenes of a family beyond which every second one is left out, so that memory does not grow with the corpus:
-of so many houses of ProcTHOR the fit takes 1.1 GB. A statement of m scenes that are read then has an excess of some √m
-in m draws everywhere."""
+"""Number of scenes of a family beyond which every second one is left out, so that the rows that are kept do not grow
+with the corpus: of so many houses of ProcTHOR the fit takes 1.1 GB."""
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -77,7 +76,7 @@ class SceneRows:
         self._read: list[_Read] = []
 
     def add(self, rows: pa.Table, most: int) -> None:
-        """Add the rows of one scene, unless scenes like it are left out by now. They are kept as they are until there
+        """Add the rows of one scene, unless it is one of those that are left out. They are kept as they are until there
         are `most` of them.
         """
         self._seen += 1
@@ -119,7 +118,7 @@ class SceneRows:
                 )
             )
 
-        if self._scenes > self._most:
+        while self._scenes > self._most:
             self._halve()
 
     def _halve(self) -> None:
@@ -167,8 +166,8 @@ def tilts(
     label_factors: Mapping[LabelForm, tuple[float, float]],
     sampling: SamplingConfig,
 ) -> dict[Statement, int]:
-    """Return by statement in how many steps of an octave the weight is raised where the statement is true, and lowered
-    where it is false; statements that keep their weights are left out.
+    """Return, by statement, by how many steps (``FACTOR_STEPS`` make an octave) its weight is raised where it is true
+    and lowered where it is false; negative, the other way round. Statements that keep their weights are left out.
 
     Parameters
     ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -314,13 +315,13 @@ def test_what_can_t_be_loaded_ends_the_run_and_not_the_next(
 def test_an_interrupt_while_a_worker_begins_or_is_given_a_job_leaves_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(place: type, name: str, after: int) -> None:
+    def interrupted(place: Any, name: str, after: int) -> None:
         real, calls = getattr(place, name), count()
 
-        def method(self: Any, *arguments: Any) -> Any:
+        def method(*arguments: Any) -> Any:
             if next(calls) == after:
                 raise KeyboardInterrupt
-            return real(self, *arguments)
+            return real(*arguments)
 
         monkeypatch.setattr(place, name, method)
 
@@ -328,7 +329,14 @@ def test_an_interrupt_while_a_worker_begins_or_is_given_a_job_leaves_nothing_beh
     with ProcessExecutor(2) as executor:
         executor.start()
         for at, (place, name, after) in enumerate(
-            [(Processes, "_next", 0), (Connection, "send", 0), (Connection, "send", 1), (Connection, "send", 2)]
+            [
+                (socket, "send_fds", 0),
+                (Processes, "_next", 0),
+                (Connection, "send", 0),
+                (Connection, "send", 1),
+                (Connection, "send", 2),
+                (ProcessCrew, "returned", 0),
+            ]
         ):
             interrupted(place, name, after)
             with pytest.raises(KeyboardInterrupt):
@@ -377,12 +385,32 @@ def test_closed_standard_files_cost_nothing(tmp_path: Path, closed: list[int]) -
     assert (tmp_path / "said").read_text() == "0"
 
 
-def test_a_worker_that_dies_with_nothing_to_do_is_replaced(store: LocalStore) -> None:
-    with ProcessExecutor(2) as executor:
-        assert run(toys.pipeline(), toys.units(4), store, executor=executor).exit_code == 0
-        for process in executor.start().all:
+def test_workers_that_die_with_nothing_to_do_are_replaced(store: LocalStore) -> None:
+    with ProcessExecutor(4) as executor:
+        assert run(toys.pipeline(), toys.units(12), store, executor=executor).exit_code == 0
+        processes = executor.start()
+        while len(processes.all) < 4:
+            processes.fork()
+        for process in processes.all:
             os.kill(process.number, signal.SIGKILL)
+            time.sleep(0.1)  # so that the template notices each by itself
         assert run(toys.pipeline(toys.Count(modulus=7)), toys.units(6), store, executor=executor).counts["ok"] > 0
+
+
+def test_a_template_that_ends_before_it_reads_is_told(store: LocalStore) -> None:
+    with ProcessExecutor(1) as executor:
+        processes = executor.start()
+        os.kill(processes.template, signal.SIGSTOP)
+        threading.Timer(1.0, os.kill, (processes.template, signal.SIGKILL)).start()
+        with pytest.raises(ClusterError, match="the process that starts workers has ended"):
+            run(toys.pipeline(), toys.units(3), store, executor=executor)
+
+
+@pytest.mark.parametrize("python", ["", None, "/nowhere/python"])
+def test_without_a_python_to_start_the_error_says_so(monkeypatch: pytest.MonkeyPatch, python: str | None) -> None:
+    monkeypatch.setattr(sys, "executable", python)
+    with ProcessExecutor(1) as executor, pytest.raises(ClusterError, match="can't be started with Python"):
+        executor.start()
 
 
 @contextmanager

@@ -259,11 +259,27 @@ def test_of_very_many_scenes_every_second_one_is_left_out(make_scene, number: in
         if k % step == 0:
             some.add(one, 0)
 
+    at_once = SceneRows("made", "compass", most_scenes=8)
+    for one in rows:
+        at_once.add(one, 10**9)
+    at_once.read()
+
     def found(read: SceneRows) -> set[tuple[object, ...]]:
         rooms = read.scene_of_room
         columns = [column.tolist() for column in read.occurrences()]
         assert rooms[columns[3]].tolist() == columns[2]
         return {(read.statements[own], *rest) for own, *rest in zip(*columns, strict=True)}
 
-    assert found(few) == found(some)
+    assert found(few) == found(some) == found(at_once)
     assert few.scene_of_room.tolist() == some.scene_of_room.tolist()
+
+
+def test_presence_in_a_single_room_has_no_factor(make_scene) -> None:
+    """What is absent from a single room is absent from its scene; the fit is of rooms among others."""
+    scenes = [make_scene(500 + k, ("kitchen", "bedroom"), 9) for k in range(30)]
+    one = make_scene(540, ("kitchen",), 9)
+    priors = LabelPriors.of_corpus([("made", counted(scene)) for scene in (*scenes, one)], SamplingConfig())
+    assert any(not statement[2] for statement in priors.bits(scenes[0], 0.05).even)
+    even = priors.bits(one, 0.05).even
+    assert even
+    assert all(statement[2] for statement in even)
