@@ -22,12 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL_MASS", "ExpectedDraws", "Statement", "coins", "numbered", "of_each", "rounded_octaves"]
-
-Statement = tuple[str, str, str, str, bool]
-"""Room type, label, predicate, anchor label, whether the statement is definite. For presence, the predicate and the
-anchor label are empty, and the last value is False.
-"""
+__all__ = ["FULL_MASS", "ExpectedDraws", "coins", "rounded_octaves"]
 
 FULL_MASS: Final = 0.3
 """Total weight of the statements of a group, of the truth that has less, from which on the group is used as often as
@@ -60,10 +55,13 @@ class ExpectedDraws:
 
     Parameters
     ----------
-    own, truth, scene, room, group, form, weights (n,) : of each occurrence of a statement with one truth in one room:
-        the number of the statement, its truth, its scene and room, and its weight without factors; the group of its
-        predicate in the room, and in that group its form. Statements of presence are a group and a form of their own
-    group_weights (g,), room_weights (r,) : how often a group is used in a room, and a room in a scene
+    own, truth, scene, weights, form (n,) : of each occurrence of a statement with one truth in one room: the number of
+        the statement, its truth (0 or 1), its scene, its weight without factors, and the form that it has in this room
+        (a predicate, definite or not)
+    group_of_form (f,) : group of predicates in the room to which a form belongs. Statements of presence are a group and
+        a form of their own
+    room_of_group (g,) : room of a group
+    group_weights (g,), room_weights (r,) : how often a group is used in its room, and a room in its scene
     presence (g,) : how often conditions about the room are of presence, if the group is that; else 0
     """
 
@@ -176,24 +174,3 @@ def coins(statements: Sequence[tuple[object, ...]]) -> F64:
     """Return 1 or -1 for each statement, by its hash."""
     tossed = (hashlib.blake2b(repr(one).encode(), digest_size=1).digest()[0] & 1 for one in statements)
     return np.fromiter((1.0 if one else -1.0 for one in tossed), np.float64, len(statements))
-
-
-def numbered(*columns: NDArray[Any]) -> tuple[I64, NDArray[np.intp]]:
-    """Return numbers from 0 of the rows of `columns` (n,), in the order in which they first occur; and the row in which
-    each first occurs.
-    """
-    keys = np.zeros(len(columns[0]), np.int64)
-    for column in columns:
-        keys = keys * (int(column.max(initial=0)) + 1) + column
-    _, first, numbers = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    return place[numbers], first[order]
-
-
-def of_each(number: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
-    """Return the value of each number, where all rows with the same number have the same value."""
-    found = np.zeros(number.max(initial=-1) + 1, values.dtype)
-    found[number] = values
-    return found

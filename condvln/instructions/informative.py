@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.instructions.statement_rows import STATEMENT
 from schemas.config.constants import EVIDENCE
 
 __all__ = ["LabelForm", "informative_weights", "label_weights", "statement_weights"]
@@ -28,8 +29,6 @@ F64 = NDArray[np.float64]
 
 LabelForm = tuple[str, str, str, bool]
 """Room type, label, predicate, whether statements about the label are definite."""
-
-_STATEMENT: Final = ["room_type", "label", "predicate", "anchor", "definite"]
 
 
 def informative_weights(n_true: int, n_false: int, evidence: int = EVIDENCE) -> dict[bool, float]:
@@ -68,10 +67,10 @@ def label_weights(counts: pa.Table) -> dict[LabelForm, tuple[float, float]]:
     ----------
     counts : relational statements, with the columns ``n_true`` and ``n_false``; a statement may have several rows
     """
-    sums = counts.group_by(_STATEMENT).aggregate([("n_true", "sum"), ("n_false", "sum")])
+    sums = counts.group_by(list(STATEMENT)).aggregate([("n_true", "sum"), ("n_false", "sum")])
     n_true, n_false = (sums[name].to_numpy().astype(np.float64) for name in ("n_true_sum", "n_false_sum"))
     true, false = _weights(n_true, n_false, EVIDENCE)
-    forms = {name: sums[name] for name in _STATEMENT if name != "anchor"}
+    forms = {name: sums[name] for name in STATEMENT if name != "anchor"}
     exact = {
         name: np.rint(weight * EXACT).astype(np.int64)
         for name, weight in (("false", n_false * false), ("true", n_true * true))

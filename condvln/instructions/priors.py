@@ -22,13 +22,14 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from condvln.instructions.expected_draws import FACTOR_STEPS, Statement
+from condvln.instructions.expected_draws import FACTOR_STEPS
 from condvln.instructions.informative import LabelForm, label_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
 from condvln.instructions.stagings import ByConditions, even_factors
-from condvln.instructions.statement_counts import STATEMENT, StatementCounts
+from condvln.instructions.statement_counts import StatementCounts
+from condvln.instructions.statement_rows import STATEMENT, Statement
 from condvln.instructions.statements import statement_truths
 from condvln.instructions.tilts import SceneRows, tilts
 from condvln.labels import vocabulary

@@ -11,7 +11,7 @@ the truth that the statement has in more of them, since the other sign would lea
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -21,14 +21,19 @@ from numpy.typing import NDArray
 from condvln.instructions.expected_draws import (
     FACTOR_STEPS,
     ExpectedDraws,
-    Statement,
     coins,
-    numbered,
-    of_each,
     rounded_octaves,
 )
 from condvln.instructions.informative import statement_weights
 from condvln.instructions.predicates import GROUP_OF
+from condvln.instructions.statement_rows import (
+    STATEMENT,
+    CodedTexts,
+    Statement,
+    numbered,
+    numbered_statements,
+    of_each,
+)
 from schemas.config.constants import STAGINGS
 
 __all__ = ["UNCHANGED", "ByConditions", "even_factors"]
@@ -61,8 +66,6 @@ UNCHANGED: Final = ByConditions(1.0, 1.0)
 
 PRESENCE: Final = ""
 """In place of a group of predicates."""
-
-_STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
 
 F64 = NDArray[np.float64]
 
@@ -97,14 +100,13 @@ def _draws(
     """Return the expected draws; the statements by number; and for each statement 1 if it is true in more stagings than
     it is false in, else -1. Where the numbers are equal, the hash of the statement decides.
     """
-    texts = {name: _texts(counts[name]) for name in ("staging", *_STATEMENT[:-1])}
+    staging, *texts = (CodedTexts.of(counts[name]) for name in ("staging", *STATEMENT[:-1]))
     definite = counts["definite"].to_numpy()
-    statement, first = numbered(*(texts[name][1] for name in _STATEMENT[:-1]), definite)
-    columns = [[texts[name][0][k] for k in texts[name][1][first].tolist()] for name in _STATEMENT[:-1]]
-    statements: list[Statement] = list(zip(*columns, definite[first].tolist(), strict=True))
-    named, predicate = texts["predicate"]
-    groups = [GROUP_OF[name] if name else PRESENCE for name in named]
-    room, _ = numbered(texts["staging"][1], texts["room_type"][1])
+    statement, statements = numbered_statements(texts, definite, np.arange(len(definite)))
+    room_type, _, (named, predicate), _ = texts
+    group_of: dict[str, str] = {PRESENCE: PRESENCE} | {str(name): group for name, group in GROUP_OF.items()}
+    groups = [group_of[name] for name in named]
+    room, _ = numbered(staging.numbers, room_type.numbers)
     form, _ = numbered(room, predicate, definite)
     group, _ = numbered(room, np.array([groups.index(name) for name in groups], np.int64)[predicate])
     seen = np.stack([counts[name].to_numpy().astype(np.float64) for name in ("n_false", "n_true")])
@@ -121,7 +123,7 @@ def _draws(
     draws = ExpectedDraws(
         statement[at],
         truth,
-        texts["staging"][1][at],
+        staging.numbers[at],
         seen[truth, at] * np.stack([base[False], base[True]])[truth, statement[at]],
         form=form[at],
         group_of_form=of_each(form, group),
@@ -131,9 +133,3 @@ def _draws(
         room_weights=np.ones(int(room.max()) + 1),
     )
     return draws, statements, np.sign(np.where(more != 0, more, coins(statements)))
-
-
-def _texts(column: pa.ChunkedArray) -> tuple[list[Any], NDArray[np.int64]]:
-    """Return the distinct texts of a column, in the order in which they first occur, and the number of each row's."""
-    coded = pa.concat_arrays(column.chunks).dictionary_encode()
-    return coded.dictionary.to_pylist(), coded.indices.to_numpy().astype(np.int64)

@@ -11,13 +11,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from condvln.instructions.expected_draws import Statement
+from condvln.instructions.statement_rows import STATEMENT, CodedTexts, Statement
 from condvln.instructions.statements import ANCHOR_JOINT
 
-__all__ = ["STATEMENT", "StatementCounts"]
-
-STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
-"""Columns that tell statements apart."""
+__all__ = ["StatementCounts"]
 
 Counts: TypeAlias = dict[Statement, tuple[int, int]]
 Rows: TypeAlias = NDArray[np.intp]
@@ -34,7 +31,13 @@ class StatementCounts:
         """Sum `rows`, a table of schema ``PRIORS``."""
         sums = rows.group_by(list(STATEMENT)).aggregate([("n_true", "sum"), ("n_false", "sum")])
         sums = sums.sort_by([(name, "ascending") for name in STATEMENT]).combine_chunks()
-        self._types, self._labels, self._predicates, self._anchors = (_Coded(sums[name]) for name in STATEMENT[:4])
+        self._types, self._labels, self._predicates, self._anchors = (
+            CodedTexts.of(sums[name]) for name in STATEMENT[:4]
+        )
+        self._quoted = [
+            pa.array([orjson.dumps(text).decode() for text in column.texts], pa.string())
+            for column in (self._types, self._labels, self._predicates, self._anchors)
+        ]
         self._definite, self._true, self._false = (
             sums[name].to_numpy() for name in ("definite", "n_true_sum", "n_false_sum")
         )
@@ -88,7 +91,7 @@ class StatementCounts:
 
     def counts(self, rows: Rows) -> Counts:
         """Return the numbers of rooms in which some statements are true and in which they are false."""
-        texts = (column.of(rows) for column in (self._types, self._labels, self._predicates, self._anchors))
+        texts = (column.at(rows) for column in (self._types, self._labels, self._predicates, self._anchors))
         statements = zip(*texts, self._definite[rows].tolist(), strict=True)
         return dict(
             zip(statements, zip(self._true[rows].tolist(), self._false[rows].tolist(), strict=True), strict=True)
@@ -117,7 +120,10 @@ class StatementCounts:
             return ""
         true, false = (count[rows].astype(np.float64) for count in (self._true, self._false))
         rates = pa.array(np.rint(steps * (true / (true + false))).astype(np.int64)).cast(pa.string())
-        texts = (column.quoted(rows) for column in (self._types, self._labels, self._predicates, self._anchors))
+        columns = (self._types, self._labels, self._predicates, self._anchors)
+        texts = (
+            quoted.take(pa.array(column.numbers[rows])) for column, quoted in zip(columns, self._quoted, strict=True)
+        )
         definite = _BOOLEANS.take(pa.array(self._definite[rows].astype(np.int8)))
         lines = pc.binary_join_element_wise(*texts, definite, rates, ",")
         whole = pc.binary_join(pa.LargeListArray.from_arrays(pa.array([0, len(rows)], pa.int64()), lines), "],[")
@@ -125,26 +131,6 @@ class StatementCounts:
 
 
 _BOOLEANS: Final = pa.array(["false", "true"])
-
-
-class _Coded:
-    """A column of texts: its distinct texts, and their numbers (n,)."""
-
-    def __init__(self, column: pa.ChunkedArray) -> None:
-        coded = pc.dictionary_encode(
-            pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], pa.string())
-        )
-        self.texts: list[str] = coded.dictionary.to_pylist()
-        self.numbers: NDArray[np.int32] = coded.indices.to_numpy()
-        self._quoted = pa.array([orjson.dumps(text).decode() for text in self.texts], pa.string())
-
-    def of(self, rows: NDArray[np.intp]) -> list[str]:
-        """Return the texts of some rows."""
-        return [*map(self.texts.__getitem__, self.numbers[rows].tolist())]
-
-    def quoted(self, rows: NDArray[np.intp]) -> pa.Array:
-        """Return the texts of some rows as JSON."""
-        return self._quoted.take(pa.array(self.numbers[rows]))
 
 
 def _among(texts: Sequence[str], wanted: Collection[str]) -> NDArray[np.bool_]:

@@ -19,14 +19,19 @@ from numpy.typing import NDArray
 
 from condvln.instructions.expected_draws import (
     ExpectedDraws,
-    Statement,
     coins,
-    numbered,
-    of_each,
     rounded_octaves,
 )
 from condvln.instructions.informative import LabelForm, statement_weights
 from condvln.instructions.predicates import GROUP_OF, PREDICATE_GROUPS, sayable
+from condvln.instructions.statement_rows import (
+    STATEMENT,
+    CodedTexts,
+    Statement,
+    numbered,
+    numbered_statements,
+    of_each,
+)
 from schemas.config import SamplingConfig
 from schemas.program import asked_in
 
@@ -47,8 +52,6 @@ with the corpus: of so many houses of ProcTHOR the fit takes 1.1 GB."""
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-_STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
-
 
 class _Read(NamedTuple):
     """Occurrences (n,) by number of statement, truth, scene and room."""
@@ -68,7 +71,7 @@ class SceneRows:
         self._most = most_scenes
         self._step = 1
         self._seen = 0
-        self._asked = pa.array(sorted({"", *(asked_in(family) & sayable(directions))}))
+        self._asked = {"", *(asked_in(family) & sayable(directions))}
         self._pending: list[pa.Table] = []
         self._rows = self._scenes = 0
         self._numbers: dict[Statement, int] = {}
@@ -96,15 +99,13 @@ class SceneRows:
         scene = self._scenes + np.repeat(np.arange(len(self._pending)), [one.num_rows for one in self._pending])
         self._scenes += len(self._pending)
         self._pending, self._rows = [], 0
-        coded = {name: _coded(table[name]) for name in _STATEMENT[:-1]}
-        begins = coded["label"].mask("")
+        texts = [CodedTexts.of(table[name]) for name in STATEMENT[:-1]]
+        _, label, predicate, _ = texts
+        begins = label.among({""})
         room = len(self._rooms) - 1 + np.cumsum(begins)
         self._rooms += scene[begins].tolist()
-        said = np.flatnonzero(~begins & coded["predicate"].mask(*self._asked.to_pylist()))
-        definite = table["definite"].to_numpy()[said]
-        own, first = numbered(*(one.numbers[said] for one in coded.values()), definite)
-        columns = [[one.texts[k] for k in one.numbers[said[first]].tolist()] for one in coded.values()]
-        found = zip(*columns, definite[first].tolist(), strict=True)
+        said = np.flatnonzero(~begins & predicate.among(self._asked))
+        own, found = numbered_statements(texts, table["definite"].to_numpy(), said)
         known = self._numbers
         own = np.array([known.setdefault(statement, len(known)) for statement in found], np.int64)[own]
         for truth, name in ((0, "n_false"), (1, "n_true")):
@@ -117,7 +118,6 @@ class SceneRows:
                     room[said[at]].astype(np.int32),
                 )
             )
-
         while self._scenes > self._most:
             self._halve()
 
@@ -143,21 +143,6 @@ class SceneRows:
     def scene_of_room(self) -> I64:
         """The scene of each room."""
         return np.array(self._rooms, np.int64)
-
-
-class _Coded(NamedTuple):
-    texts: list[str]
-    numbers: I64
-
-    def mask(self, *texts: str) -> NDArray[np.bool_]:
-        """Return which rows have one of `texts`."""
-        found: NDArray[np.bool_] = np.array([text in texts for text in self.texts], bool)[self.numbers]
-        return found
-
-
-def _coded(column: pa.ChunkedArray) -> _Coded:
-    coded = pa.concat_arrays(column.chunks).dictionary_encode()
-    return _Coded(coded.dictionary.to_pylist(), coded.indices.to_numpy().astype(np.int64))
 
 
 def tilts(

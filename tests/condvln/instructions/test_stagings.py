@@ -13,11 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.instructions.expected_draws import FULL_MASS, Statement
+from condvln.instructions.expected_draws import FULL_MASS
 from condvln.instructions.informative import informative_weights
 from condvln.instructions.predicates import GROUP_OF, PREDICATE_GROUPS
 from condvln.instructions.priors import PRIORS
 from condvln.instructions.stagings import COIN_PART, MANY_STAGINGS, UNCHANGED, even_factors
+from condvln.instructions.statement_rows import Statement
 from schemas.config import PredicateWeights
 from schemas.config.constants import STAGINGS
 
