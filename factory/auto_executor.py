@@ -65,7 +65,7 @@ class AutoExecutor:
         seconds = float(getattr(tasks, "seconds", float("inf")))
         executor = self._chosen(seconds)
         if executor is self._inline and seconds > 0:
-            self._say(f"about {seconds:.0f} CPU s of work: done in this process, more would not be faster")
+            self._say(f"about {seconds:.0f} CPU s of work: done in this process, starting others would take longer")
         yield from executor.run(context, tasks)
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:

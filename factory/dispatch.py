@@ -49,10 +49,10 @@ Job = Task | PackJob
 class Lost:
     """The end of a job that came back without a result.
 
-    kind : ``raised`` an error in the worker, ``memory`` ended since memory ran out, ``worker`` died, ``node`` lost with
-        the machine that it ran on
+    kind : ``raised``: the worker raised an error; ``memory``: the worker was ended because memory ran out; ``worker``:
+        the worker died; ``node``: the machine that it ran on was lost
     peak_rss : bytes that its worker held when it was ended, where that is known
-    message : what is told of a worker that was ended since memory ran out
+    message : Ray's account of a worker that it ended because memory ran out
     """
 
     error: BaseException
@@ -97,7 +97,7 @@ class Crew(Protocol):
 
 
 class Watcher(Protocol):
-    """Is told what comes back."""
+    """Counts receipts and failures, for instance as metrics."""
 
     def unit(self, receipt: Receipt) -> None:
         """Count a finished unit."""

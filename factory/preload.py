@@ -15,7 +15,7 @@ class Preload:
     """A function that imports and loads what workers need, such as compiled kernels; by default none.
 
     module, function : where it is; it is called with a function that shows a message, then with the arguments
-    arguments : values that JSON can hold, since a process that workers are forked from is told in JSON
+    arguments : JSON values, because they are passed to the template process as JSON
     """
 
     module: str = ""

@@ -15,7 +15,8 @@ from factory.executor import Task
 from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob
 from factory.preload import NOTHING, Preload
-from factory.process_crew import ProcessCrew, Processes
+from factory.process_crew import ProcessCrew
+from factory.processes import Processes
 from factory.receipt import Receipt
 from schemas.errors import UsageError
 
@@ -49,7 +50,6 @@ class ProcessExecutor:
         self._note = note
         self._processes: Processes | None = None
         self._dispatch: Dispatch | None = None
-        self._crews = itertools.count()
         self._at_work = False
 
     @property
@@ -104,7 +104,7 @@ class ProcessExecutor:
             self._at_work = False
 
     def _dispatched(self, context: RunContext) -> Dispatch:
-        crew = ProcessCrew(context, self.start(), self._workers, next(self._crews))
+        crew = ProcessCrew(context, self.start(), self._workers)
         self._dispatch = Dispatch(context, crew)
         return self._dispatch
 

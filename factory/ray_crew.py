@@ -1,4 +1,4 @@
-"""Workers of Ray: what a worker process does with a job, and how a job's end is told from Ray's errors."""
+"""Workers of Ray: what a worker process does with a job, and which of Ray's errors mean which end of a job."""
 
 from __future__ import annotations
 

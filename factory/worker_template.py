@@ -1,4 +1,4 @@
-"""The process that worker processes of this machine are forked from, and the loop of a worker.
+"""The process that worker processes of this machine are forked from.
 
 The template loads once what every worker needs (modules, compiled kernels) and then forks workers, which share that
 memory with it and begin to work within milliseconds. It has one thread, so that forking it is safe; a driver, which has
@@ -17,11 +17,9 @@ import faulthandler
 import gc
 import json
 import os
-import pickle
 import select
 import signal
 import socket
-import threading
 import time
 import traceback
 from collections.abc import Iterator
@@ -29,14 +27,10 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any, Final
 
-from factory.context import RunContext
 from factory.deadline import Terminated, terminated_by_signal
-from factory.executor import Task
-from factory.heartbeat import Place
-from factory.packing import pack
 from factory.preload import Preload
-from factory.worker import Worker
-from schemas.errors import ClusterError, CondVLNError, UsageError
+from factory.worker_process import pickled_error, serve
+from schemas.errors import ClusterError
 
 __all__ = ["NAME_BYTES", "run_template"]
 
@@ -52,9 +46,6 @@ FIRST_TO_GO: Final = "500"
 
 LOOK: Final = 0.5
 """Seconds between two looks, while the template loads, at whether its driver is still there."""
-
-PAUSE: Final = 1.0
-"""Seconds between two reports of a worker about a unit that takes long."""
 
 
 def run_template(control: int, preload: Preload) -> None:
@@ -77,7 +68,7 @@ def run_template(control: int, preload: Preload) -> None:
                 preload.load(lambda text: say(note=text))
         except Exception as error:
             with contextlib.suppress(OSError):  # the driver may be gone: that is such an error, too
-                say(failed=_pickled(error).hex())
+                say(failed=pickled_error(error).hex())
             return
         gc.collect()
         gc.freeze()  # collections in a worker would touch, and so copy, every page of it
@@ -143,7 +134,7 @@ class _Template:
             child = os.fork()
         except OSError as error:
             told = ClusterError(f"no further worker could be started: {error}", remedy="Free memory, or end processes.")
-            self._say(failed=_pickled(told).hex())
+            self._say(failed=pickled_error(told).hex())
             raise Terminated(1) from error
         if child == 0:
             code = 1
@@ -160,14 +151,14 @@ class _Template:
                 os.dup2(log, 1)
                 os.dup2(log, 2)
                 os.close(log)
-                code = _work(Connection(jobs))
+                code = serve(Connection(jobs))
             except BaseException:
                 traceback.print_exc()
             finally:
                 os._exit(code)  # nothing of the template's is to be ended here
         self._children.add(child)
         with contextlib.suppress(OSError):
-            os.setpgid(child, child)  # a group with all that its stages start; here too, before its number is told
+            os.setpgid(child, child)  # set on both sides, so that the group exists whoever comes first
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.close(jobs)
         os.close(log)
@@ -216,112 +207,3 @@ def _end_group(leader: int) -> None:
     with contextlib.suppress(OSError):
         if hasattr(os, "waitid") and os.waitid(os.P_PID, leader, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
             os.killpg(leader, signal.SIGKILL)
-
-
-# ---- a worker
-
-
-class _Jobs:
-    """A worker's side of its connection to the driver."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._lock = threading.Lock()
-        self._over = threading.Event()
-
-    def receive(self) -> Any:
-        return self._connection.recv()
-
-    def send(self, kind: str, content: bytes, number: int = 0) -> None:
-        with self._lock:
-            self._connection.send((kind, number, content))
-
-    def report(self, place: Place, after: float) -> None:
-        """Report from now on, from a thread, the unit at `place` when it is at one stage for `after` seconds."""
-
-        self._over.set()
-        over = self._over = threading.Event()
-
-        def watch() -> None:
-            said = False
-            while not over.wait(PAUSE):
-                busy = place.busy()
-                if busy is not None and busy.seconds >= after:
-                    self.send("busy", pickle.dumps((busy.unit_id, busy.stage, busy.seconds)))
-                    said = True
-                elif said:
-                    self.send("busy", pickle.dumps(None))
-                    said = False
-
-        def quietly() -> None:
-            with contextlib.suppress(OSError):  # the driver is gone, which the main thread learns too
-                watch()
-
-        threading.Thread(target=quietly, name="reports", daemon=True).start()
-
-
-def _work(connection: Connection) -> int:
-    """Serve the driver until it closes the connection; return the exit code."""
-    faulthandler.enable()
-    terminated_by_signal()
-    jobs = _Jobs(connection)
-    worker: Worker | None = None
-    fault = UsageError("a worker was given a job before the run")
-    try:
-        while True:
-            kind, number, content = jobs.receive()
-            if kind == "context":
-                worker = None
-                try:
-                    context, slots = pickle.loads(content)
-                    worker = _new_worker(context, slots, jobs)
-                except Exception as error:  # told to each job: one job, one answer
-                    fault = UsageError(
-                        f"a worker can't load what the run is made of: {type(error).__name__}: {error}",
-                        remedy="Define stages in a module that can be imported, not in the script that is run.",
-                    )
-                jobs.send("ready", pickle.dumps(None))
-                continue
-            try:
-                if worker is None:
-                    raise fault
-                result = pickle.dumps(_done(worker, pickle.loads(content)))
-            except Exception as error:
-                jobs.send("raised", _pickled(error), number)
-            else:
-                jobs.send("done", result, number)
-    except (EOFError, ConnectionResetError, BrokenPipeError):
-        return 0  # the driver needs this worker no more
-    except (Terminated, KeyboardInterrupt):
-        return 1
-
-
-def _new_worker(context: RunContext, slots: int, jobs: _Jobs) -> Worker:
-    worker = Worker(context, may_exit=True, slots=slots)
-    jobs.report(worker.place, context.busy_seconds)
-    return worker
-
-
-def _done(worker: Worker, job: Any) -> list[Any]:
-    if not isinstance(job, Task):
-        run = worker.context
-        return [pack(run.store, run.pipeline, job, run.faults)]
-    return [
-        worker.work(item.unit, job.until, item.fingerprint, attempt=job.attempt, last_try=job.last_try)
-        for item in job.work
-    ]
-
-
-def _pickled(error: BaseException) -> bytes:
-    """Return an error in a form that the driver can read, whatever it is."""
-    try:
-        found = pickle.dumps(error)
-        pickle.loads(found)
-        return found
-    except Exception:
-        try:
-            text = str(error)
-        except Exception:
-            text = "(its message can't be shown)"
-        ours = next((kind for kind in type(error).__mro__ if kind.__module__ == CondVLNError.__module__), None)
-        return pickle.dumps(RuntimeError(f"{type(error).__name__}: {text}") if ours is None else ours(text))

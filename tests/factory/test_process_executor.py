@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -25,12 +26,13 @@ import toys
 from hypothesis import given
 from hypothesis import strategies as st
 
-from factory import LocalStore, run
+from factory import InlineExecutor, LocalStore, StageOutput, run
 from factory.commits import Commits
 from factory.context import RunContext
 from factory.preload import Preload
-from factory.process_crew import ProcessCrew, Processes
+from factory.process_crew import ProcessCrew
 from factory.process_executor import ProcessExecutor
+from factory.processes import Processes, WorkerProcess
 from factory.ray_executor import RayExecutor
 from factory.report import Silence
 from jobs.generate import open_executor
@@ -53,20 +55,49 @@ def loads(note: Callable[[str], None], word: str) -> None:
     os.environ["CONDVLN_TEST_LOADED"] = word
 
 
+def notes(note: Callable[[str], None], word: str) -> None:
+    """Only say so."""
+    note(word)
+
+
 def fails(note: Callable[[str], None]) -> None:
     raise FormatError("the cache is damaged", where="kernels", remedy="Remove it.")
+
+
+@dataclass(frozen=True)
+class Inherits(toys.Count):
+    """Fails in a process that has not what `loads` set, or that may use several threads."""
+
+    def run(self, *arguments: Any) -> StageOutput:
+        assert (os.environ["CONDVLN_TEST_LOADED"], os.environ["NUMBA_NUM_THREADS"]) == ("once", "1")
+        return super().run(*arguments)
 
 
 def test_what_is_preloaded_is_there_in_every_worker(store: LocalStore) -> None:
     said: list[str] = []
     with ProcessExecutor(2, Preload(__name__, "loads", ("once",)), said.append) as executor:
-        processes = executor.start()
-        found = [processes.fork(), processes.fork()]
-        for process in found:
-            environment = Path(f"/proc/{process.number}/environ").read_bytes()
-            assert b"NUMBA_NUM_THREADS=1" in environment
-        assert run(toys.pipeline(), toys.units(8), store, executor=executor).exit_code == 0
+        report = run(toys.pipeline(Inherits()), toys.units(8), store, executor=executor)
+    assert (report.exit_code, report.failures) == (0, [])
     assert said == ["loading once"]
+
+
+@pytest.mark.parametrize("kind", [InlineExecutor, RayExecutor])
+def test_other_executors_load_once_and_in_the_driver(
+    kind: type[Any],
+) -> None:
+    said: list[str] = []
+    executor = kind(preload=Preload(__name__, "notes", ("now",)), note=said.append)
+    for _ in range(2):
+        executor.prepare(1.0)
+    assert said == ["now"]
+
+
+def test_a_run_prepares_its_executor_where_there_is_work_and_only_there(store: LocalStore) -> None:
+    said: list[str] = []
+    for _ in range(2):
+        executor = InlineExecutor(Preload(__name__, "notes", ("now",)), said.append)
+        assert run(toys.pipeline(), toys.units(3), store, executor=executor).exit_code == 0
+    assert said == ["now"], "the second run has nothing to do"
 
 
 def test_an_error_while_loading_is_the_run_s(store: LocalStore) -> None:
@@ -153,9 +184,7 @@ class FakeProcesses(Processes):
         self._ended = {}
 
     def fork(self) -> Any:
-        from factory.process_crew import _Process
-
-        process = _Process(Fake(), Fake(), number=len(self.all) + 1)  # type: ignore[arg-type]
+        process = WorkerProcess(Fake(), Fake(), number=len(self.all) + 1)  # type: ignore[arg-type]
         self.all.append(process)
         return process
 
@@ -169,11 +198,10 @@ def test_jobs_begin_in_their_order_as_far_as_processes_and_memory_go(
     jobs: list[tuple[int, bool]], most: int, order: Any
 ) -> None:
     processes = FakeProcesses()
-    crew = ProcessCrew(RunContext(toys.pipeline(), LocalStore("nowhere")), processes, most, 0)
+    crew = ProcessCrew(RunContext(toys.pipeline(), LocalStore("nowhere")), processes, most)
     crew._memory = 100
     begun: list[int] = []
-    for memory, alone in jobs:
-        crew.send((memory, alone), memory, alone=alone)  # type: ignore[arg-type]
+    sent = [crew.send((memory, alone), memory, alone=alone) for memory, alone in jobs]  # type: ignore[arg-type]
     while True:
         working = [process.job for process in processes.all if process.job is not None]
         begun += [job[0] for job in working if job[0] not in begun]
@@ -185,7 +213,7 @@ def test_jobs_begin_in_their_order_as_far_as_processes_and_memory_go(
         done = order.choice([process for process in processes.all if process.job is not None])
         done.job = None
         crew._begin()
-    assert begun == [*range(1, len(jobs) + 1)], "none overtakes another, and none is left waiting"
+    assert begun == sent, "none overtakes another, and none is left waiting"
 
 
 # ---- ends
@@ -366,6 +394,21 @@ def test_two_runs_at_once_need_an_executor_each(store: LocalStore, tmp_path: Pat
 
     with ProcessExecutor(1) as executor, pytest.raises(UsageError, match="at work for another run"):
         run(toys.pipeline(), toys.units(2), store, executor=executor, progress=Again())
+
+
+def test_a_driver_may_have_many_files_open(store: LocalStore) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard < 4096:
+        pytest.skip("this user may not open so many files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 4096), hard))
+    held = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    try:
+        with ProcessExecutor(1) as executor:
+            assert run(toys.pipeline(), toys.units(3), store, executor=executor).exit_code == 0
+    finally:
+        for one in held:
+            os.close(one)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.mark.parametrize("closed", [[0], [1], [2], [0, 1, 2]], ids=str)

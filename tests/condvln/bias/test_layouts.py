@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,10 @@ from condvln.bias import judge
 from condvln.bias.report import ALL
 from condvln.instructions import LabelPriors
 from condvln.relations import TextFacts, relate_scene, text_facts
-from condvln.scene import Room, Scene, SceneObject, round_mm
+from condvln.scene import Scene
 from schemas.config import Thresholds
 from schemas.program import Category
+from tests.condvln.bias.made_apartment import made_apartment
 from tests.condvln.instructions.made_sampler import made_sampler
 
 T = Thresholds()
@@ -36,17 +36,8 @@ def staging(layout: int, number: int) -> Scene:
     places = np.random.default_rng([0, layout]).uniform(0.0, SIDE, (len(LABELS), 2))
     rng = np.random.default_rng([1, layout, number])
     places[:MOVED] = rng.uniform(0.0, SIDE, (MOVED, 2))
-    objects = []
-    for label, (x, z) in zip(LABELS, places, strict=True):
-        box = round_mm(np.array([[x - 0.3, 0.0, z - 0.3], [x + 0.3, 0.8, z + 0.3]]))
-        objects.append(SceneObject(label, "r0", label, label, round_mm(box.mean(axis=0)), aabb=box))
-    return Scene(
-        family="made",
-        scene_id=f"v3_sc{layout}_staging_{number:02}",
-        root=Path("."),
-        rooms=(Room("r0", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True),),
-        objects=tuple(objects),
-    )
+    things = [(label, x, z) for label, (x, z) in zip(LABELS, places, strict=True)]
+    return made_apartment(f"v3_sc{layout}_staging_{number:02}", things)
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,6 @@ asked of a scene has its usual truth there.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,8 +11,9 @@ from condvln.bias import judge
 from condvln.bias.report import ALL, BiasReport
 from condvln.instructions import LabelPriors
 from condvln.relations import TextFacts, relate_scene, text_facts
-from condvln.scene import Room, Scene, SceneObject, round_mm
+from condvln.scene import Scene
 from schemas.config import SamplingConfig, Thresholds
+from tests.condvln.bias.made_apartment import made_apartment
 from tests.condvln.instructions.made_sampler import made_sampler
 
 T = Thresholds()
@@ -32,21 +31,14 @@ Read = tuple[Scene, dict[str, TextFacts]]
 def apartment(number: int) -> Scene:
     usual = np.random.default_rng(0).uniform(0.0, SIDE, (len(LABELS), 2))
     rng = np.random.default_rng([1, number])
-    objects = []
+    things = []
     for label, place in zip(LABELS, usual, strict=True):
         moved = rng.uniform(0.0, SIDE, 2)
         x, z = moved if rng.random() < MOVED else place
         if rng.random() < 0.5:  # not all is everywhere
             continue
-        box = round_mm(np.array([[x - 0.3, 0.0, z - 0.3], [x + 0.3, 0.8, z + 0.3]]))
-        objects.append(SceneObject(label, "r0", label, label, round_mm(box.mean(axis=0)), aabb=box))
-    return Scene(
-        family="made",
-        scene_id=f"apartment_{number:03}",
-        root=Path("."),
-        rooms=(Room("r0", "apartment", "apartment", 0, 0.0, 2.5, None, "scene", True),),
-        objects=tuple(objects),
-    )
+        things.append((label, x, z))
+    return made_apartment(f"apartment_{number:03}", things)
 
 
 @pytest.fixture(scope="module")

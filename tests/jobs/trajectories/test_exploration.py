@@ -18,7 +18,7 @@ from condvln.sensors import open_renderer
 from condvln.sources.registry import open_source
 from jobs.generate import run_generate
 from jobs.trajectories import Request, make_trajectories
-from schemas.config import CameraConfig, Config, InstructionsConfig, SourceConfig, TrajectoryConfig
+from schemas.config import CameraConfig, Config, Family, InstructionsConfig, SourceConfig, TrajectoryConfig
 from schemas.errors import ProofError
 from schemas.program import CATEGORIES
 from tests.jobs.trajectories.made import proven, rows, to
@@ -36,29 +36,32 @@ def explored(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.fixture(scope="module")
-def many(tmp_path_factory: pytest.TempPathFactory) -> Request:
-    """The request for the walks of three apartments with dozens of episodes; the folder is to be replaced."""
-    folder = tmp_path_factory.mktemp("many")
-    make_samples(folder / "data", family="replicacad", scenes=3, seed=8)
+def request_of(folder: Path, family: Family, scenes: int, seed: int, episodes: int, **more: Any) -> Request:
+    """A request for exploration walks over the largest split of an export of made scenes.
+
+    episodes : asked of each category in each scene
+    """
+    make_samples(folder / "data", family=family, scenes=scenes, seed=seed)
     config = Config(
-        name="many",
+        name="made",
         store=folder / "store",
         export=folder / "export",
-        sources=(SourceConfig(family="replicacad", root=folder / "data"),),
-        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 8)),
+        sources=(SourceConfig(family=family, root=folder / "data"),),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, episodes)),
     )
     assert run_generate(config, inline=True).exit_code == 0
     counts: dict[str, int] = json.loads((folder / "export" / "export.json").read_text())["episodes"]
     return Request(
         target=str(folder / "export"),
-        out=Path("unset"),
+        out=folder / "out",
         split=max(counts, key=lambda name: counts[name]),
         camera="tiny",
         config=TrajectoryConfig(walks=("exploration",)),
         layouts=("streamvln",),
-        scenes=(f"replicacad={folder / 'data'}",),
+        scenes=(f"{family}={folder / 'data'}",),
         inline=True,
+        recipe_only=True,
+        **more,
     )
 
 
@@ -81,28 +84,7 @@ def test_things_are_seen_from_where_a_level_camera_sees_them(seed: int, tmp_path
     """In small rooms low things are below the view of whoever stands right before them. A plan expects the frames of
     looking, also of walks that are left out in the end: they are in the expectation, and not in the count.
     """
-    make_samples(tmp_path / "gibson", family="gibson", scenes=1, seed=seed)
-    config = Config(
-        name="gibson",
-        store=tmp_path / "store",
-        export=tmp_path / "export",
-        sources=(SourceConfig(family="gibson", root=tmp_path / "gibson"),),
-        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 6)),
-    )
-    assert run_generate(config, inline=True).exit_code == 0
-    counts: dict[str, int] = json.loads((tmp_path / "export" / "export.json").read_text())["episodes"]
-    asked = Request(
-        target=str(tmp_path / "export"),
-        out=tmp_path / "out",
-        split=max(counts, key=lambda name: counts[name]),
-        camera="tiny",
-        config=TrajectoryConfig(walks=("exploration",)),
-        layouts=("streamvln",),
-        scenes=(f"gibson={tmp_path / 'gibson'}",),
-        inline=True,
-        licensed=True,
-        recipe_only=True,
-    )
+    asked = request_of(tmp_path, "gibson", scenes=1, seed=seed, episodes=6, licensed=True)
     assert make_trajectories(asked).exit_code == 0
     report = proven(asked, asked.out, render_every=0)
     assert report.document["faults"] == []
@@ -130,12 +112,11 @@ def test_the_conditions_of_the_gold_route_are_looked_for_in_order(asked: Request
     assert looked > 20
 
 
-def test_the_renderer_shows_a_witness_before_the_decision(many: Request, tmp_path: Path) -> None:
+def test_the_renderer_shows_a_witness_before_the_decision(tmp_path: Path) -> None:
     """Another implementation of sight: instance images of the camera."""
-    config = TrajectoryConfig(walks=("exploration",))
-    explored, asked = tmp_path / "out", many
-    request = to(asked, explored, config=config, layouts=("streamvln",), recipe_only=True)
-    assert make_trajectories(request).exit_code == 0
+    asked = request_of(tmp_path, "replicacad", scenes=3, seed=8, episodes=8)
+    explored = asked.out
+    assert make_trajectories(asked).exit_code == 0
     root = Path(asked.scenes[0].partition("=")[2])
     source = open_source("replicacad", root)
     scenes = {name: source.read(name) for name in source.scene_ids()}
