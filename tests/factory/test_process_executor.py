@@ -26,9 +26,10 @@ import toys
 from hypothesis import given
 from hypothesis import strategies as st
 
-from factory import InlineExecutor, LocalStore, StageOutput, run
+from factory import InlineExecutor, LocalStore, StageOutput, machine, run
 from factory.commits import Commits
 from factory.context import RunContext
+from factory.memory import SHARE
 from factory.preload import Preload
 from factory.process_crew import ProcessCrew
 from factory.process_executor import ProcessExecutor
@@ -198,8 +199,9 @@ def test_jobs_begin_in_their_order_as_far_as_processes_and_memory_go(
     jobs: list[tuple[int, bool]], most: int, order: Any
 ) -> None:
     processes = FakeProcesses()
-    crew = ProcessCrew(RunContext(toys.pipeline(), LocalStore("nowhere")), processes, most)
-    crew._memory = 100
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(machine, "memory_available", lambda: 100 / SHARE)
+        crew = ProcessCrew(RunContext(toys.pipeline(), LocalStore("nowhere")), processes, most)
     begun: list[int] = []
     sent = [crew.send((memory, alone), memory, alone=alone) for memory, alone in jobs]  # type: ignore[arg-type]
     while True:
