@@ -252,7 +252,7 @@ def draw_conditions(
     rooms : (r, 2), numbers of the rooms that may be asked about, and the label in each room's name or NOTHING
     room_sums : (r,), their running weights
     bearings : most egocentric statements; they are about `start_room`
-    attempts : most draws of a pool, and most draws of a statement from it
+    attempts : most tries for a truth, each of one room, one form there, and one statement of that form
     claims, rules : (t + 1, 6) and (s,), working memory
     clashes : (7,), to which the violations of each rule are added
     drawn : (t, 3), set to the index in `rooms`, the pool and the place of each statement
