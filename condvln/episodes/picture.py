@@ -57,6 +57,9 @@ LEGEND: Final = {
 
 LOW, HIGH = 0.3, 1.8
 """Metres above the floor between which walls are cut, so that doorways stay open."""
+TEXT_SIZES: Final = (9, 8, 7, 6, 5, 4)
+"""Sizes of the text in points; the first one with which the text does not reach the legend is used, or else the last.
+"""
 MARK: Final = 9.0
 """Radius in pixels of a mark that no label covers."""
 
@@ -106,10 +109,9 @@ def draw_episode(
         shown.imshow(view)
         shown.set_title("first view, at the start", fontsize=9)
     conditions = "" if program is None else "\n".join(_conditions(program, episode))
-    words.text(
-        0, 1, f"{episode['instruction_text']}\n\n{tree}\n\n{conditions}", va="top", wrap=True, fontsize=9
-    ).set_in_layout(False)
-    key.legend(
+    text = words.text(0, 1, f"{episode['instruction_text']}\n\n{tree}\n\n{conditions}", va="top", wrap=True)
+    text.set_in_layout(False)
+    legend = key.legend(
         handles=[_handle(mark) for mark in LEGEND if mark in drawn],
         loc="lower left",
         fontsize=8,
@@ -118,6 +120,10 @@ def draw_episode(
     )
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
+    for size in TEXT_SIZES:
+        text.set_fontsize(size)
+        if text.get_window_extent().y0 >= legend.get_window_extent().y1:
+            break
     start = episode["start_position"]
     marks = [(start["x"], start["z"], MARK)]
     for leaf in episode["leaves"]:

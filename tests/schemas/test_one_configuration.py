@@ -166,7 +166,7 @@ TECHNICAL = {
         "SEARCHED",
     },
     # Where drawings of episodes put their marks and labels.
-    "episodes/picture.py": {"HIGH", "LOW", "MARK"},
+    "episodes/picture.py": {"HIGH", "LOW", "MARK", "TEXT_SIZES"},
     "episodes/picture_labels.py": {"DIRECTIONS", "GAP", "LED", "NEARBY", "RINGS", "STEP"},
     # R2R's own rules on viewpoint graphs, which are not those of a navmesh.
     "episodes/graph_placing.py": {"REACH", "FARTHEST", "STOREY", "BORDER", "UNEVEN"},

@@ -6,10 +6,11 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from condvln.episodes.picture import HIGH, LOW, wall_lines
+from condvln.episodes.picture import HIGH, LOW, draw_episode, wall_lines
 from condvln.episodes.picture_labels import Label, place_labels
 from condvln.scene import Room, Scene
 from condvln.scene.geometry import STRUCTURE, SceneGeometry
@@ -63,3 +64,27 @@ def test_walls_are_cut_at_breast_height() -> None:
     np.testing.assert_array_equal(lines[..., 1], 0)
     assert {tuple(sorted(line[:, 0])) for line in lines} == {(0.0, 4.0)}
     assert wall_lines(scene, None).shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize("lines", [3, 12, 25, 40])
+def test_the_text_does_not_cover_the_legend(lines: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A deep tree has dozens of lines, and some of them are broken."""
+    polygon = np.array([[0, 0], [6, 0], [6, 5], [0, 5]], float)
+    room = Room("room", "kitchen", "kitchen", 0, 0.0, 2.5, polygon, "dataset", True)
+    points = [{"x": x, "y": 0.0, "z": 1.0} for x in (1.0, 5.0)]
+    episode = {
+        "category": "deep_nested", "episode_id": 1, "instruction_text": "Go to the fridge in the kitchen there. " * 15,
+        "start_position": points[0], "start_heading_degrees": 90.0, "gold_leaf": 0,
+        "leaves": [{"leaf": k, "object_id": "", "reference_path": points, "subgoals": []} for k in range(2)],
+    }  # fmt: skip
+    kept: list[Figure] = []
+    monkeypatch.setattr("condvln.episodes.picture.write_figure", lambda figure, path, dpi: kept.append(figure))
+    tree = "\n".join(
+        f"{'    ' * (k % 5)}ELSE [{k}] picture north-west of table lamp (Picture|5|37)" for k in range(lines)
+    )
+    view = np.zeros((60, 80, 3), np.uint8)
+    draw_episode(tmp_path / "x.png", Scene("made", "x", Path(), (room,), ()), (), episode, tree, view=view)
+    _, _, words, key = kept[0].axes
+    (text,) = words.texts
+    assert text.get_window_extent().y0 >= key.get_legend().get_window_extent().y1
+    assert text.get_fontsize() == 9 or lines > 3
