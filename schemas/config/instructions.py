@@ -274,7 +274,7 @@ class SamplingConfig(Section):
         "them must hold at one start",
     )
     attempts: int = Field(
-        12, ge=1, le=10_000, description="maximum number of draws of a condition before the candidate is given up"
+        24, ge=1, le=10_000, description="maximum number of draws of a condition before the candidate is given up"
     )
     draws_per_candidate: int = Field(
         20,
