@@ -194,7 +194,11 @@ class World:
             scene,
             self._facts(thresholds),
             priors.bits(
-                scene, sampling.plausible_share, sampling.predicates, instructions.directions, sampling.presence_share
+                scene,
+                sampling.plausible_share,
+                sampling.predicates,
+                instructions.directions,
+                sampling.label_only(scene.single_room),
             ),
             walkable,
             sightings,

@@ -15,7 +15,7 @@ from collections.abc import Collection, Container, Iterable, Iterator, Mapping, 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import chain, islice, repeat
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import orjson
@@ -256,8 +256,8 @@ class LabelPriors:
         plausible_share : a label is plausible in a room type if at least this share of the rooms of the type have an
             object with the label
         predicates, directions, presence_share : the weights of the predicates with which conditions are drawn, the
-            directions that texts may use, and the share of conditions of presence in scenes of several rooms; all
-            matter only for stagings of a layout
+            directions that texts may use, and the share of conditions of presence in this scene; all matter only for
+            stagings of a layout
         """
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
@@ -280,15 +280,21 @@ class LabelPriors:
             counts.update({key: both for key, both in own.items() if key[0] in staged})
         if scene.single_room:
             # In a single-room scene, absence can be claimed of labels of other scenes.
+            evened = _evened_presence(self, layout, tuple(sorted(staged)), frozenset(varies)) if staged else None
             for t, x in presence:
-                there = counts.get((t, x, "", "", False), (0, 0))[0]
-                counts[t, x, "", "", False] = (there, (stagings if t in staged else rooms)[t] - there)
+                if evened is not None and t in staged:
+                    there = own.get((t, x, "", "", False), (0, 0))[0]
+                    only = (stagings[t], 0) if there else (0, stagings[t])
+                    counts[t, x, "", "", False] = evened.counts.get((t, x), only)
+                else:
+                    there = counts.get((t, x, "", "", False), (0, 0))[0]
+                    counts[t, x, "", "", False] = (there, rooms[t] - there)
         weights = self._label_weights(seen, set(types) - staged)
         tilted = self._tilts.get(scene.family, {})
         # Of a single room, presence is not fitted: what is absent there is absent from the whole scene.
         fitted = [key for key in counts if key[2] or not scene.single_room]
         even = {key: tilted[key] for key in fitted if key in tilted and key[0] not in staged}
-        even |= self._even(scene, counts, staged, predicates, directions, presence_share) if staged else {}
+        even |= self._even(scene, counts, staged, varies, predicates, directions, presence_share) if staged else {}
         rates = ""
         if not scene.single_room:
             parts = [
@@ -345,16 +351,20 @@ class LabelPriors:
         scene: Scene,
         statements: Container[Statement],
         staged: frozenset[str],
+        varies: Collection[tuple[str, str]],
         predicates: PredicateWeights,
         directions: str,
         presence_share: float,
     ) -> dict[Statement, ByConditions]:
         """Return the factors of `statements`; see `PriorBits`. They come from all statements about all stagings of the
         scene's layout.
+
+        varies : type of room and label, of labels whose presence may be asked
         """
         asked = ("", *sorted(asked_in(scene.family) & sayable(directions)))
         weights = tuple((group, getattr(predicates, group)) for group in PREDICATE_GROUPS)
-        found = _factors(self, layout_of(scene.scene_id), tuple(sorted(staged)), asked, weights, presence_share)
+        alone = frozenset(varies) if scene.single_room else None
+        found = _factors(self, layout_of(scene.scene_id), tuple(sorted(staged)), asked, weights, presence_share, alone)
         return {key: factors for key, factors in found.items() if key in statements}
 
     def about(self, layout: str, room_types: Sequence[str], predicates: Sequence[str]) -> pa.Table:
@@ -387,11 +397,54 @@ def _factors(
     asked: tuple[str, ...],
     weights: tuple[tuple[str, float], ...],
     presence_share: float,
+    varies: frozenset[tuple[str, str]] | None,
 ) -> Mapping[Statement, ByConditions]:
     """Return the factors of all statements about the stagings of a layout: equal for all its scenes, since what one
     scene holds does not enter.
+
+    varies : if the layout is a single room, the labels whose presence may be asked
     """
-    return even_factors(priors.about(layout, staged, asked), dict(weights), presence_share)
+    rows = priors.about(layout, staged, asked)
+    if varies is not None:
+        relations = rows.filter(pc.not_equal(rows["predicate"], ""))
+        rows = pa.concat_tables([relations, _evened_presence(priors, layout, staged, varies).rows]).combine_chunks()
+    return even_factors(rows, dict(weights), presence_share)
+
+
+class _Presence(NamedTuple):
+    """Presence in the stagings of a layout that is a single room: rows of schema `PRIORS`, and by type of room and
+    label the number of stagings in which it is true and of those in which it is false.
+    """
+
+    rows: pa.Table
+    counts: Mapping[tuple[str, str], tuple[int, int]]
+
+
+@lru_cache(maxsize=LAYOUTS_KEPT)
+def _evened_presence(
+    priors: LabelPriors, layout: str, staged: tuple[str, ...], varies: frozenset[tuple[str, str]]
+) -> _Presence:
+    """Return the presence of those labels in `varies` that some stagings have, and whose absence can be claimed of
+    others. Rows of single rooms hold only what is present.
+    """
+    rows = priors.about(layout, staged, ("",))
+    rows = rows.filter(pc.greater(rows["n_true"], 0))
+    held: dict[tuple[str, str], set[str]] = {}
+    for staging, room_type, label in zip(*(rows[name].to_pylist() for name in PRIORS.names[1:4]), strict=True):
+        held.setdefault((room_type, staging), set()).add(label)
+    found: dict[tuple[str, str], dict[str, bool]] = {}
+    for (room_type, staging), labels in held.items():
+        for label in {x for t, x in varies if t == room_type}:
+            if label in labels or not labels & vocabulary.overlapping(label):
+                found.setdefault((room_type, label), {})[staging] = label in labels
+    both = {key: seen for key, seen in sorted(found.items()) if len({*seen.values()}) == 2}
+    said = [
+        (layout, staging, room_type, label, "", "", False, int(there), int(not there), 0)
+        for (room_type, label), seen in both.items()
+        for staging, there in sorted(seen.items())
+    ]
+    counts = {key: (sum(seen.values()), len(seen) - sum(seen.values())) for key, seen in both.items()}
+    return _Presence(_table(said), counts)
 
 
 @lru_cache(maxsize=LAYOUTS_KEPT)
@@ -409,7 +462,11 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
 
 def _tilted(family: str, found: Mapping[Statement, int]) -> pa.Table:
     """Return the tilts of a family's statements as rows."""
-    rows = [("", family, *statement, 0, 0, tilt) for statement, tilt in found.items()]
+    return _table([("", family, *statement, 0, 0, tilt) for statement, tilt in found.items()])
+
+
+def _table(rows: Sequence[tuple[object, ...]]) -> pa.Table:
+    """Return rows as a table of schema `PRIORS`."""
     columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in PRIORS]
     return pa.table([pa.array(c, kind.type) for c, kind in zip(columns, PRIORS, strict=True)], schema=PRIORS)
 

@@ -197,7 +197,9 @@ def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions
 
     def read() -> PriorBits:
         counts = _priors.get((priors,), lambda: LabelPriors.from_table(priors))
-        return counts.bits(scene, sampling.plausible_share, sampling.predicates, directions, sampling.presence_share)
+        return counts.bits(
+            scene, sampling.plausible_share, sampling.predicates, directions, sampling.label_only(scene.single_room)
+        )
 
     return _bits.get((scene, priors, sampling, directions), read)
 

@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 import pytest
 
 from condvln.instructions import LabelPriors
+from condvln.instructions.informative import informative_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.priors import PRIORS
 from condvln.instructions.referents import Referents
@@ -283,3 +284,74 @@ def test_presence_in_a_single_room_has_no_factor(make_scene) -> None:
     even = priors.bits(one, 0.05).even
     assert even
     assert all(statement[2] for statement in even)
+
+
+def test_presence_in_a_staged_single_room_is_counted_where_either_can_be_claimed(make_scene) -> None:
+    base = make_scene(3, ("apartment",), 12)
+    plain, *rest = base.objects
+
+    def staging(number: int, labels: list[str]) -> Scene:
+        objects = [replace(one, label=label) for one, label in zip(rest, labels, strict=False)]
+        return replace(base, scene_id=f"v3_sc0_staging_{number:02}", objects=tuple(objects))
+
+    rooms = [["bed", "sofa"], ["bed", "sofa", "lamp"], ["bed", "lamp", "rug"], ["bed", "armchair"], ["bed", "chair"]]
+    assert {"chair", "armchair"} <= vocabulary.overlapping("chair") & vocabulary.overlapping("armchair")
+    stagings = [staging(k, labels) for k, labels in enumerate(rooms)]
+    elsewhere = replace(base, scene_id="apt_0", objects=(replace(plain, label="piano"),))
+    priors = LabelPriors.merged(map(counted, [*stagings, *[replace(elsewhere, scene_id=f"apt_{k}") for k in range(2)]]))
+    for scene in stagings:
+        bits = priors.bits(scene, 0.05)
+        found = {key[1]: both for key, both in bits.counts.items() if not key[2]}
+        assert found == {
+            "bed": (5, 0),
+            "sofa": (2, 3),
+            "lamp": (2, 3),
+            "rug": (1, 4),
+            # Where there is a chair, nobody can say that there is no armchair, nor the other way round.
+            "chair": (1, 3),
+            "armchair": (1, 3),
+            "piano": (0, 5),
+        }
+        assert {key[1] for key in bits.even if not key[2]} == {"sofa", "lamp", "rug", "chair", "armchair"}
+
+
+def test_presence_in_many_stagings_of_a_single_room_has_part_of_a_coin_s_excess(make_scene) -> None:
+    """Stagings differ in how many of the things they hold, so that a thing that is usual is missing where much is."""
+    base = make_scene(5, ("apartment",), 24)
+    labels = sorted({one.label for one in base.objects})
+    draw = random.Random(0)
+    stagings = []
+    for k in range(20):
+        full = draw.choice([0.2, 1.0])
+        held = {label for j, label in enumerate(labels) if draw.random() < full * (0.2 + 0.8 * (j % 2))}
+        objects = tuple(one for one in base.objects if one.label in held)
+        stagings.append(replace(base, scene_id=f"v3_sc0_staging_{k:02}", objects=objects))
+    priors = LabelPriors.merged(map(counted, stagings))
+
+    def excess(even: bool) -> float:
+        """The root mean square of the excess of labels' draws, in parts of a fair coin's, by loops over scenes and
+        labels.
+        """
+        drawn: dict[str, list[float]] = {}
+        for scene in stagings:
+            bits = priors.bits(scene, 0.0, presence_share=SamplingConfig().label_only(single_room=True))
+            held = {one.label for one in scene.objects}
+            sides: dict[bool, dict[str, float]] = {True: {}, False: {}}
+            for (_, label, predicate, *_), both in bits.counts.items():
+                if predicate or min(both) == 0:
+                    continue
+                if label not in held and held & vocabulary.overlapping(label):
+                    continue
+                truth = label in held
+                factor = bits.even["apartment", label, "", "", False].one if even else 1.0
+                sides[truth][label] = informative_weights(*both, STAGINGS)[truth] * (factor if truth else 1 / factor)
+            if not all(sides.values()):
+                continue
+            used = min(1.0, *(sum(side.values()) for side in sides.values()))
+            for truth, side in sides.items():
+                for label, weight in side.items():
+                    drawn.setdefault(label, []).append((1 if truth else -1) * used * weight / sum(side.values()))
+        return float(np.sqrt(np.mean([sum(ds) ** 2 / sum(d * d for d in ds) for ds in drawn.values()])))
+
+    assert excess(even=False) > 2.0
+    assert excess(even=True) < 0.8
