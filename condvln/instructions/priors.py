@@ -15,7 +15,7 @@ from collections.abc import Collection, Container, Iterable, Iterator, Mapping, 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import chain, islice, repeat
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import orjson
@@ -27,9 +27,10 @@ from condvln.instructions.informative import LabelForm, label_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
+from condvln.instructions.staged_presence import StagedPresence
 from condvln.instructions.stagings import ByConditions, even_factors
 from condvln.instructions.statement_counts import StatementCounts
-from condvln.instructions.statement_rows import STATEMENT, Statement
+from condvln.instructions.statement_rows import STATEMENT, Statement, table_of
 from condvln.instructions.statements import statement_truths
 from condvln.instructions.tilts import SceneRows, tilts
 from condvln.labels import vocabulary
@@ -279,16 +280,16 @@ class LabelPriors:
         if staged:
             counts.update({key: both for key, both in own.items() if key[0] in staged})
         if scene.single_room:
-            # In a single-room scene, absence can be claimed of labels of other scenes.
-            evened = _evened_presence(self, layout, tuple(sorted(staged)), frozenset(varies)) if staged else None
+            # In a single-room scene, absence can be claimed of labels of other scenes. Of a staging, only labels are
+            # asked that some stagings have, and whose absence can be claimed of others: the rest has one truth.
+            known = _presence(self, layout, tuple(sorted(staged)), frozenset(varies)).counts if staged else {}
             for t, x in presence:
-                if evened is not None and t in staged:
-                    there = own.get((t, x, "", "", False), (0, 0))[0]
-                    only = (stagings[t], 0) if there else (0, stagings[t])
-                    counts[t, x, "", "", False] = evened.counts.get((t, x), only)
+                there = counts.get((t, x, "", "", False), (0, 0))[0]
+                if not staged:
+                    both = (there, rooms[t] - there)
                 else:
-                    there = counts.get((t, x, "", "", False), (0, 0))[0]
-                    counts[t, x, "", "", False] = (there, rooms[t] - there)
+                    both = known.get((t, x)) or ((stagings[t], 0) if there else (0, stagings[t]))
+                counts[t, x, "", "", False] = both
         weights = self._label_weights(seen, set(types) - staged)
         tilted = self._tilts.get(scene.family, {})
         # Of a single room, presence is not fitted: what is absent there is absent from the whole scene.
@@ -407,44 +408,16 @@ def _factors(
     rows = priors.about(layout, staged, asked)
     if varies is not None:
         relations = rows.filter(pc.not_equal(rows["predicate"], ""))
-        rows = pa.concat_tables([relations, _evened_presence(priors, layout, staged, varies).rows]).combine_chunks()
+        rows = pa.concat_tables([relations, _presence(priors, layout, staged, varies).rows]).combine_chunks()
     return even_factors(rows, dict(weights), presence_share)
 
 
-class _Presence(NamedTuple):
-    """Presence in the stagings of a layout that is a single room: rows of schema `PRIORS`, and by type of room and
-    label the number of stagings in which it is true and of those in which it is false.
-    """
-
-    rows: pa.Table
-    counts: Mapping[tuple[str, str], tuple[int, int]]
-
-
 @lru_cache(maxsize=LAYOUTS_KEPT)
-def _evened_presence(
+def _presence(
     priors: LabelPriors, layout: str, staged: tuple[str, ...], varies: frozenset[tuple[str, str]]
-) -> _Presence:
-    """Return the presence of those labels in `varies` that some stagings have, and whose absence can be claimed of
-    others. Rows of single rooms hold only what is present.
-    """
-    rows = priors.about(layout, staged, ("",))
-    rows = rows.filter(pc.greater(rows["n_true"], 0))
-    held: dict[tuple[str, str], set[str]] = {}
-    for staging, room_type, label in zip(*(rows[name].to_pylist() for name in PRIORS.names[1:4]), strict=True):
-        held.setdefault((room_type, staging), set()).add(label)
-    found: dict[tuple[str, str], dict[str, bool]] = {}
-    for (room_type, staging), labels in held.items():
-        for label in {x for t, x in varies if t == room_type}:
-            if label in labels or not labels & vocabulary.overlapping(label):
-                found.setdefault((room_type, label), {})[staging] = label in labels
-    both = {key: seen for key, seen in sorted(found.items()) if len({*seen.values()}) == 2}
-    said = [
-        (layout, staging, room_type, label, "", "", False, int(there), int(not there), 0)
-        for (room_type, label), seen in both.items()
-        for staging, there in sorted(seen.items())
-    ]
-    counts = {key: (sum(seen.values()), len(seen) - sum(seen.values())) for key, seen in both.items()}
-    return _Presence(_table(said), counts)
+) -> StagedPresence:
+    """Return the presence of labels in the stagings of a layout that is a single room."""
+    return StagedPresence.of(priors.about(layout, staged, ("",)), varies)
 
 
 @lru_cache(maxsize=LAYOUTS_KEPT)
@@ -462,13 +435,7 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
 
 def _tilted(family: str, found: Mapping[Statement, int]) -> pa.Table:
     """Return the tilts of a family's statements as rows."""
-    return _table([("", family, *statement, 0, 0, tilt) for statement, tilt in found.items()])
-
-
-def _table(rows: Sequence[tuple[object, ...]]) -> pa.Table:
-    """Return rows as a table of schema `PRIORS`."""
-    columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in PRIORS]
-    return pa.table([pa.array(c, kind.type) for c, kind in zip(columns, PRIORS, strict=True)], schema=PRIORS)
+    return table_of([("", family, *statement, 0, 0, tilt) for statement, tilt in found.items()], PRIORS)
 
 
 def _of_rooms(

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-__all__ = ["STATEMENT", "CodedTexts", "Statement", "numbered", "numbered_statements", "of_each"]
+__all__ = ["STATEMENT", "CodedTexts", "Statement", "numbered", "numbered_statements", "of_each", "table_of"]
 
 STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
 """Columns that tell statements apart."""
@@ -79,3 +79,9 @@ def of_each(number: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
     found = np.zeros(number.max(initial=-1) + 1, values.dtype)
     found[number] = values
     return found
+
+
+def table_of(rows: Sequence[tuple[object, ...]], schema: pa.Schema) -> pa.Table:
+    """Return rows as a table of a schema."""
+    columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in schema]
+    return pa.table([pa.array(c, kind.type) for c, kind in zip(columns, schema, strict=True)], schema=schema)
