@@ -226,7 +226,7 @@ def _own_file(module: ModuleType) -> str:
     """Return the source text of a module of this package, since a kernel may read constants from the module; empty for
     any other module.
     """
-    file = module.__file__
+    file = getattr(module, "__file__", None)  # a module that is part of Python's program has none
     return Path(file).read_text() if file is not None and module.__name__.split(".")[0] == "condvln" else ""
 
 

@@ -94,6 +94,16 @@ def test_a_copy_elsewhere_with_other_times_and_comments_compiles_nothing(kernels
     assert len(cached(tmp_path / "home" / ".cache" / "condvln")) == len(cached(tmp_path)) == 1
 
 
+def test_a_kernel_may_use_a_module_without_a_file(kernels: Path, tmp_path: Path) -> None:
+    """In the Python of Debian, ``math`` is part of the program."""
+    builtin = "import math\nmath.__dict__.pop('__file__', None)\n"
+    (kernels / "kernel.py").write_text(builtin + SOURCE.replace("2 * x", "2 * x + math.floor(0.5)"))
+    assert run(kernels, tmp_path).stdout == "42\n"
+    assert len(cached(tmp_path)) == 1
+    assert run(kernels, tmp_path).stdout == "42\n"
+    assert len(cached(tmp_path)) == 1
+
+
 def test_where_the_home_cannot_be_written_the_cache_lies_beside_the_kernels(kernels: Path, tmp_path: Path) -> None:
     (tmp_path / "home").write_text("a file where the folder would be")
     run(kernels, tmp_path / "home")
