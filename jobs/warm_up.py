@@ -45,8 +45,9 @@ KERNEL_MODULES: Final = {
     "stops passed": "condvln.verify.kernels.passing",
 }
 """The groups of kernels and the module that registers each. Those that take longest come first. Kernels that several
-groups call are only loaded where another group is ready. `paths` and `starts of episodes` alone spend more than half of
-their time on kernels that `follower` has too, and two processes have that ready before they come to them."""
+groups call are loaded where another group has compiled them: `paths` and `starts of episodes` spend more than half of
+their time on kernels that `follower` has too. Of two processes that compile all groups, one has compiled `follower`
+before the other comes to them."""
 
 BUILDER: Final = "navmesh builder"
 GENERATED_WITH: Final = frozenset(KERNEL_MODULES) - {

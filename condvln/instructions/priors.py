@@ -64,11 +64,11 @@ scene id (both empty for scenes that are not variants of a layout). `tilt` is 0 
 
 A row with an empty label counts the rooms of a type. A row with an empty predicate is the presence of a label, counted
 as false in rooms where absence can be claimed: another room of the same scene has the label, and no word for it fits
-anything in this room.
+anything in this room. In a staging that is a single room, labels that are not seen there but of which something there
+might be called have a row without counts: see ``StagedPresence``.
 """
 
 DEFAULT_WEIGHTS: Final = PredicateWeights()
-DEFAULT_PRESENCE: Final = SamplingConfig().presence_share
 
 LAYOUTS_KEPT: Final = 8
 """Number of layouts whose factors are kept for the next scene of the layout."""
@@ -89,8 +89,9 @@ class PriorBits:
     varies : the plausible labels that are also absent from enough rooms of the type, so that their presence is
         informative
     counts : by statement, the number of rooms in which it is true and of those in which it is false; if the scene's
-        layout has enough rooms, only these are counted; statements never found are missing, and so may be relations of
-        labels that the scene has in different types of rooms only
+        layout has enough rooms, only these are counted, and of a single room presence that is not asked counts as
+        having one truth; statements never found are missing, and so may be relations of labels that the scene has in
+        different types of rooms only
     staged : room types for which only rooms of the scene's layout are counted
     label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
         statements (``informative.label_weights``); of room types that are not `staged`
@@ -248,7 +249,7 @@ class LabelPriors:
         plausible_share: float,
         predicates: PredicateWeights = DEFAULT_WEIGHTS,
         directions: str = "compass",
-        presence_share: float = DEFAULT_PRESENCE,
+        presence_share: float | None = None,
     ) -> PriorBits:
         """Return the part of the priors that `scene` reads.
 
@@ -257,9 +258,11 @@ class LabelPriors:
         plausible_share : a label is plausible in a room type if at least this share of the rooms of the type have an
             object with the label
         predicates, directions, presence_share : the weights of the predicates with which conditions are drawn, the
-            directions that texts may use, and the share of conditions of presence in this scene; all matter only for
-            stagings of a layout
+            directions that texts may use, and the share of conditions of presence in this scene (by default that of
+            the configuration's defaults); all matter only for stagings of a layout
         """
+        if presence_share is None:
+            presence_share = SamplingConfig().label_only(scene.single_room)
         types = sorted({room.label for room in scene.rooms})
         seen = sorted({o.label for o in scene.objects})
         everywhere = self._statements
@@ -281,7 +284,8 @@ class LabelPriors:
             counts.update({key: both for key, both in own.items() if key[0] in staged})
         if scene.single_room:
             # In a single-room scene, absence can be claimed of labels of other scenes. Of a staging, only labels are
-            # asked that some stagings have, and whose absence can be claimed of others: the rest has one truth.
+            # asked that some stagings have, and whose absence can be claimed of others. The rest is counted as having
+            # one truth, so that it is never asked.
             known = _presence(self, layout, tuple(sorted(staged)), frozenset(varies)).counts if staged else {}
             for t, x in presence:
                 there = counts.get((t, x, "", "", False), (0, 0))[0]
@@ -292,7 +296,7 @@ class LabelPriors:
                 counts[t, x, "", "", False] = both
         weights = self._label_weights(seen, set(types) - staged)
         tilted = self._tilts.get(scene.family, {})
-        # Of a single room, presence is not fitted: what is absent there is absent from the whole scene.
+        # Of a single room that is no staging, presence is not fitted: what is absent is absent from the whole scene.
         fitted = [key for key in counts if key[2] or not scene.single_room]
         even = {key: tilted[key] for key in fitted if key in tilted and key[0] not in staged}
         even |= self._even(scene, counts, staged, varies, predicates, directions, presence_share) if staged else {}
@@ -400,8 +404,8 @@ def _factors(
     presence_share: float,
     varies: frozenset[tuple[str, str]] | None,
 ) -> Mapping[Statement, ByConditions]:
-    """Return the factors of all statements about the stagings of a layout: equal for all its scenes, since what one
-    scene holds does not enter.
+    """Return the factors of all statements about the stagings of a layout: equal for all its scenes of a single room,
+    and for all others, since what one scene holds does not enter.
 
     varies : if the layout is a single room, the labels whose presence may be asked
     """
@@ -417,7 +421,9 @@ def _presence(
     priors: LabelPriors, layout: str, staged: tuple[str, ...], varies: frozenset[tuple[str, str]]
 ) -> StagedPresence:
     """Return the presence of labels in the stagings of a layout that is a single room."""
-    return StagedPresence.of(priors.about(layout, staged, ("",)), varies)
+    rows = priors.table()
+    held = pc.and_(pc.equal(rows["layout"], layout), pc.is_in(rows["room_type"], pa.array(staged, pa.string())))
+    return StagedPresence.of(rows.filter(pc.and_(held, pc.equal(rows["predicate"], ""))), varies)
 
 
 @lru_cache(maxsize=LAYOUTS_KEPT)
@@ -443,21 +449,30 @@ def _of_rooms(
 ) -> tuple[pa.Table, ...]:
     """Return the counts of each room of one scene."""
     labels = [_seen(arrays) for _, arrays in boxes]
+    alone = len(boxes) == 1
     return tuple(
-        _of_room(scene_id, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size)
+        _of_room(scene_id, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size, alone)
         for k, (room, arrays) in enumerate(boxes)
     )
 
 
 def _of_room(
-    scene_id: str, room: Room, arrays: RoomArrays, elsewhere: set[str], thresholds: Thresholds, anchor_size: float
+    scene_id: str,
+    room: Room,
+    arrays: RoomArrays,
+    elsewhere: set[str],
+    thresholds: Thresholds,
+    anchor_size: float,
+    alone: bool,
 ) -> pa.Table:
-    here, possible = _seen(arrays), set(arrays.labels)
+    here, possible, layout = _seen(arrays), set(arrays.labels), layout_of(scene_id)
     possible = possible.union(*called_otherwise(arrays))
     absent = {label for label in elsewhere if not possible & vocabulary.overlapping(label)}
     rows = _Rows()
     rows.add(["", *sorted(here)], "", repeat(""), repeat(False), repeat(1), repeat(0))
     rows.add(sorted(absent), "", repeat(""), repeat(False), repeat(0), repeat(1))
+    if layout and alone:
+        rows.add(sorted(possible - here), "", repeat(""), repeat(False), repeat(0), repeat(0))
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
@@ -472,7 +487,6 @@ def _of_room(
                 truths.true[subjects, anchors].astype(np.int64).tolist(),
                 truths.false[subjects, anchors].astype(np.int64).tolist(),
             )
-    layout = layout_of(scene_id)
     return rows.table(layout, scene_id if layout else "", room.label)
 
 

@@ -1,7 +1,7 @@
 """Where the presence of a label is true and where it is false, in the stagings of a layout that is a single room.
 
-A single room has no other room from which to learn what it lacks, so its rows hold only what is there. The other
-stagings tell what it lacks.
+A single room has no other room from which to learn what it lacks, so its rows hold what is there, and what something
+there might be called. The other stagings tell what it lacks.
 """
 
 from __future__ import annotations
@@ -33,28 +33,34 @@ class StagedPresence:
     def of(cls, held: pa.Table, asked: Collection[tuple[str, str]]) -> StagedPresence:
         """Return the presence of labels in the stagings of a layout.
 
-        Absence can't be claimed where a word for the label might name something that is there.
+        Absence can't be claimed where a word for the label might name something that is there, be it hidden.
 
         Parameters
         ----------
-        held : rows of presence about one layout, with the columns of ``PRIORS``
+        held : rows of presence about one layout, with the columns of ``PRIORS``; a row with an empty label stands for
+            a room, one without counts for a label that something in it might be called
         asked : type of room and label, of labels whose presence may be asked
         """
-        labels: dict[tuple[str, str, str], set[str]] = {}
-        columns = (held[name].to_pylist() for name in ("layout", "staging", "room_type", "label", "n_true"))
-        for layout, staging, room_type, label, there in zip(*columns, strict=True):
-            if there:
-                labels.setdefault((layout, staging, room_type), set()).add(label)
+        seen: dict[tuple[str, str, str], set[str]] = {}
+        possible: dict[tuple[str, str, str], set[str]] = {}
+        columns = (held[name].to_pylist() for name in ("layout", "staging", "room_type", "label", "n_true", "n_false"))
+        for layout, staging, room_type, label, true, false in zip(*columns, strict=True):
+            room = layout, staging, room_type
+            if true:
+                seen.setdefault(room, set()).add(label)
+            if not false:
+                possible.setdefault(room, set()).add(label)
         truths: dict[tuple[str, str], dict[tuple[str, str, str], bool]] = {}
-        for room, there in labels.items():
+        for room, words in possible.items():
+            there = seen.get(room, set())
             for room_type, label in asked:
-                if room_type == room[-1] and (label in there or not there & vocabulary.overlapping(label)):
+                if room_type == room[-1] and (label in there or not words & vocabulary.overlapping(label)):
                     truths.setdefault((room_type, label), {})[room] = label in there
-        found = {key: seen for key, seen in sorted(truths.items()) if len({*seen.values()}) == 2}
+        found = {key: known for key, known in sorted(truths.items()) if len({*known.values()}) == 2}
         rows = [
             (*room, label, "", "", False, int(true), int(not true), 0)
-            for (_, label), seen in found.items()
-            for room, true in sorted(seen.items())
+            for (_, label), known in found.items()
+            for room, true in sorted(known.items())
         ]
-        counts = {key: (sum(seen.values()), len(seen) - sum(seen.values())) for key, seen in found.items()}
+        counts = {key: (sum(known.values()), len(known) - sum(known.values())) for key, known in found.items()}
         return cls(table_of(rows, held.schema), counts)

@@ -78,7 +78,7 @@ def even_factors(
 
     Parameters
     ----------
-    counts : relational statements about the rooms of the stagings of one layout, with the columns of ``PRIORS``; the
+    counts : statements about the rooms of the stagings of one layout, with the columns of ``PRIORS``; the
         rooms of one type in one staging count as one room
     group_weights : weights of the groups of predicates; the statements of a group with weight 0 get the factor 1
     presence : share of conditions that are of presence, if their truths vary enough

@@ -28,8 +28,9 @@ class StatementCounts:
     """
 
     def __init__(self, rows: pa.Table) -> None:
-        """Sum `rows`, a table of schema ``PRIORS``."""
+        """Sum `rows`, a table of schema ``PRIORS``. Statements without counts are left out."""
         sums = rows.group_by(list(STATEMENT)).aggregate([("n_true", "sum"), ("n_false", "sum")])
+        sums = sums.filter(pc.greater(pc.add(sums["n_true_sum"], sums["n_false_sum"]), 0))
         sums = sums.sort_by([(name, "ascending") for name in STATEMENT]).combine_chunks()
         self._types, self._labels, self._predicates, self._anchors = (
             CodedTexts.of(sums[name]) for name in STATEMENT[:4]

@@ -43,8 +43,8 @@ right in 64 % of the draws expected in 200 others; with 0.7, in 54 %; with 1, be
 
 SCENES_ADDED: Final = 30.0
 """Number of scenes whose draws are added to either truth of a statement. Statements of few scenes are changed less:
-those with one truth would never be asked otherwise, and scenes with little to ask would be left with nothing. With 10,
-eleven scans of Gibson give 46 texts; with 30, 50, and 1,000 made houses pass the bias gate as well."""
+those with one truth would never be asked otherwise, and scenes with little to ask would be left with nothing. Eleven
+scans of Gibson give 46 texts with 10 and 50 texts with 30; 1,000 made houses pass the bias gate with either."""
 
 MOST_SCENES: Final = 8192
 """Number of scenes of a family beyond which every second one is left out, so that the rows that are kept do not grow

@@ -18,7 +18,7 @@ from schemas.config import SamplingConfig, Thresholds
 __all__ = ["CountStage", "PriorsAggregate"]
 
 
-COUNTING: Final = 14
+COUNTING: Final = 15
 """Version of how statements are counted, in a scene and over all scenes."""
 
 
