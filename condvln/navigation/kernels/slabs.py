@@ -116,7 +116,6 @@ def blocked_looks(
     low, high = _bounds(centers, half, axes)
     out = np.zeros(len(eyes), np.bool_)
     begins = np.empty((len(centers), 3), np.float64)  # the eye in the axes of each box near the lines
-    holds_eye = np.empty(len(centers), np.bool_)
     near = np.empty(len(centers), np.int64)
     count = 0
     until = 0  # end of the lines that begin at the same eye
@@ -125,27 +124,36 @@ def blocked_looks(
         if k == until:
             until = _end_of_eye(eyes, k)
             count = _near_boxes(eyes, points, k, until, low, high, near)
-            last = 0
+            last = met = 0
             for place in range(count):
                 b = near[place]
                 dx, dy, dz = eyes[k, 0] - centers[b, 0], eyes[k, 1] - centers[b, 1], eyes[k, 2] - centers[b, 2]
                 inside = True
                 for i in range(3):
-                    begins[place, i] = dx * axes[b, 0, i] + dy * axes[b, 1, i] + dz * axes[b, 2, i]
-                    inside = inside and abs(begins[place, i]) <= half[b, i] + touch
-                holds_eye[place] = inside
+                    begins[met, i] = dx * axes[b, 0, i] + dy * axes[b, 1, i] + dz * axes[b, 2, i]
+                    inside = inside and abs(begins[met, i]) <= half[b, i] + touch
+                if not inside:  # a box around the eye blocks nothing
+                    near[met] = b
+                    met += 1
+            count = met
         x, y, z = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
         length = math.sqrt(x * x + y * y + z * z)
         if not length > touch:
             continue
         margin = touch / length
+        least_x, most_x = min(eyes[k, 0], points[k, 0]), max(eyes[k, 0], points[k, 0])
+        least_y, most_y = min(eyes[k, 1], points[k, 1]), max(eyes[k, 1], points[k, 1])
+        least_z, most_z = min(eyes[k, 2], points[k, 2]), max(eyes[k, 2], points[k, 2])
         for number in range(count):
             place = last + number
             if place >= count:
                 place -= count
-            if holds_eye[place]:
-                continue
             b = near[place]
+            # Most boxes are beside the line: comparing bounds is cheaper than the slabs, and decides no other way.
+            if least_x > high[b, 0] or most_x < low[b, 0] or least_z > high[b, 2] or most_z < low[b, 2]:
+                continue
+            if least_y > high[b, 1] or most_y < low[b, 1]:
+                continue
             enter = -math.inf
             leave = math.inf
             holds_point = True
