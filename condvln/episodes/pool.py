@@ -325,8 +325,10 @@ class _Filling:
             assert one.placement is not None
             first = one.members[0].program
             for member in one.members:
-                places = [first.leaves.index(leaf) for leaf in member.program.leaves]
-                own = replace(one.placement, leaves=tuple(one.placement.leaves[k] for k in places))
+                own = one.placement
+                if member.program is not first:  # another program of the group, with the same leaves in another order
+                    places = [first.leaves.index(leaf) for leaf in member.program.leaves]
+                    own = replace(one.placement, leaves=tuple(one.placement.leaves[k] for k in places))
                 pool.episodes.append(PooledEpisode(member, own))
         if self._observer is not None:
             found = self._observer.observe([(e.program, e.placement.outlook) for e in pool.episodes])
