@@ -12,7 +12,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import reduce
 from itertools import chain, pairwise
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, csr_matrix
 
 from condvln.bias.blocks import NO_GUESS, progressive
-from condvln.bias.newton_direction import TOLERANCE, Preconditioner, head_factor, newton_direction
+from condvln.bias.newton_direction import (
+    LANES,
+    TOLERANCE,
+    Lists,
+    Preconditioner,
+    add_rows,
+    head_factor,
+    newton_direction,
+)
 from condvln.compiled import constant
 
 __all__ = [
@@ -190,7 +198,7 @@ def fitted_scores(features: csr_matrix, gold: NDArray[np.int64], inside: Bools) 
     """
     fits = _Fits.of(features, gold, inside)
     scores, at = np.empty(fits.hot.shape), np.arange(inside.shape[1])
-    found = fits.at(np.zeros((fits.words.shape[1], *fits.hot.shape[1:])))
+    found = fits.at(np.zeros((len(fits.penalty), *fits.hot.shape[1:])))
     for _ in range(NEWTON_STEPS):
         gradient = fits.gradient(found)
         scores[:, at] = found.scores
@@ -233,15 +241,16 @@ class _Place(NamedTuple):
 class _Fits:
     """Losses of fits side by side. Weights have the shape (words, fits, classes).
 
-    words : (texts, words), first the intercept, which is in all texts, then the features, the most frequent one first;
-        equal columns are one
+    words, texts : the words of each text and the texts of each word: first the intercept, which is in all texts, then
+        the features, the most frequent one first; equal features are one
     hot : (texts, fits, classes), 1 for the right class of a text that a fit learns from
     inside : (texts, fits, 1), 1 for the texts that a fit learns from
     absent : (fits, classes), 0 for the classes that a fit has, else −∞
     penalty : (words, fits, 1), 0 for the intercept
     """
 
-    words: csr_matrix
+    words: Lists
+    texts: Lists
     hot: F64
     inside: F64
     absent: F64
@@ -262,16 +271,17 @@ class _Fits:
         words, middle = _with_intercept(words), len(absent) // 2
         classes = int((absent[middle] == 0.0).sum())
         near = _preconditioner(words[inside[:, middle]], penalty[:, middle, 0], classes)
-        return cls(words, hot, inside[:, :, None].astype(np.float64), absent, penalty, near)
+        lists = _lists(words), _lists(words.tocsc())
+        return cls(*lists, hot, inside[:, :, None].astype(np.float64), absent, penalty, near)
 
     def subset(self, mask: Bools) -> _Fits:
         """Return the fits in `mask`."""
         hot, inside, penalty = (one[:, mask] for one in (self.hot, self.inside, self.penalty))
-        return _Fits(self.words, hot, inside, self.absent[mask], penalty, self.preconditioner)
+        return _Fits(self.words, self.texts, hot, inside, self.absent[mask], penalty, self.preconditioner)
 
     def at(self, weights: F64) -> _Place:
         """Return the scores, shares and losses of these weights."""
-        scores = self._times(self.words, weights)
+        scores = _sums(self.words, weights)
         scores += self.absent
         top = _over_classes(np.maximum, scores)
         # Class by class, since NumPy spreads values over so short an axis slowly, and in place.
@@ -288,14 +298,9 @@ class _Fits:
         loss = (logs - right).sum(axis=0) + _dot(self.penalty * weights, weights) / 2
         return _Place(weights, scores, shares, loss)
 
-    @cached_property
-    def _texts(self) -> csc_matrix:
-        """The matrix (words, texts)."""
-        return self.words.T
-
     def gradient(self, place: _Place) -> F64:
         """Return the gradient of the loss."""
-        found: F64 = self.penalty * place.weights + self._times(self._texts, place.shares - self.hot)
+        found: F64 = self.penalty * place.weights + _sums(self.texts, place.shares - self.hot)
         return found
 
     def step(self, place: _Place, gradient: F64) -> _Place:
@@ -314,21 +319,36 @@ class _Fits:
             length[high] /= 2
         return new
 
-    @staticmethod
-    def _times(matrix: csr_matrix | csc_matrix, columns: F64) -> F64:
-        """Return the product of `matrix` and the columns of each class of each fit."""
-        found: F64 = (matrix @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
-        return found
-
     def _direction(self, gradient: F64, shares: F64) -> F64:
         """Return the direction of Newton's step."""
-        begins = (self.inside == 0.0).sum(axis=(1, 2)).astype(np.uint32)
-        shares, slope, penalty = (
-            np.ascontiguousarray(one).reshape(len(one), -1) for one in (shares, gradient, self.penalty)
+        fits, classes = gradient.shape[1:]
+        penalty = np.broadcast_to(self.penalty, gradient.shape)
+        found = newton_direction(
+            *self.words,
+            *self.texts,
+            _whole_vectors(shares),
+            _whole_vectors(gradient),
+            _whole_vectors(penalty),
+            *self.preconditioner,
+            constant(fits),
+            constant(classes),
         )
-        classes = constant(gradient.shape[2])
-        found = newton_direction(*_bounds(self.words), begins, shares, slope, penalty, *self.preconditioner, classes)
-        return found.reshape(gradient.shape)
+        return found[:, : fits * classes].reshape(gradient.shape).astype(np.float64)
+
+
+def _sums(lists: Lists, values: F64) -> F64:
+    """Return for each list the sum of the rows of `values` that it names."""
+    found = np.zeros((len(lists.begins) - 1, *values.shape[1:]))
+    add_rows(*lists, np.ascontiguousarray(values).reshape(len(values), -1), found.reshape(len(found), -1))
+    return found
+
+
+def _whole_vectors(values: F64) -> NDArray[np.float32]:
+    """Return the rows of `values` in single precision, each followed by zeros up to a multiple of `LANES`."""
+    columns = math.prod(values.shape[1:])
+    found = np.zeros((len(values), -(-columns // LANES) * LANES), dtype=np.float32)
+    found[:, :columns] = values.reshape(len(values), -1)
+    return found
 
 
 def _with_intercept(words: csr_matrix) -> csr_matrix:
@@ -347,13 +367,14 @@ def _preconditioner(learned: csr_matrix, penalty: F64, classes: int) -> Precondi
     # The factor of so many words costs half as much in each step as the words of the texts.
     size = min(learned.shape[1], MOST_IN_HEAD, math.isqrt(learned.nnz))
     most_frequent = np.ascontiguousarray(penalty[:size])
-    factor = head_factor(*_bounds(learned), constant(learned.shape[0]), most_frequent, 1.0 / classes)
-    return Preconditioner(factor, 1.0 / (penalty + np.bincount(learned.indices, minlength=len(penalty)) / classes))
+    factor = head_factor(*_lists(learned), constant(learned.shape[0]), most_frequent, 1.0 / classes)
+    inverse = 1.0 / (penalty + np.bincount(learned.indices, minlength=len(penalty)) / classes)
+    return Preconditioner(factor.astype(np.float32), inverse.astype(np.float32))
 
 
-def _bounds(words: csr_matrix) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return where the words of each text begin, and the words, as kernels take them."""
-    return words.indptr.astype(np.uint32), words.indices.astype(np.uint32)
+def _lists(words: csr_matrix | csc_matrix) -> Lists:
+    """Return the words of each text; of a matrix in columns, the texts of each word."""
+    return Lists(words.indptr.astype(np.uint32), words.indices.astype(np.uint32))
 
 
 def _over_classes(operation: np.ufunc, values: F64) -> F64:
