@@ -89,6 +89,16 @@ def test_features_are_those_found_text_by_text(
     assert Counter(columns) == Counter(tuple(sorted(texts)) for texts in expected.values())
 
 
+def test_words_are_those_between_spaces_of_any_kind(made_rows) -> None:
+    view = GuesserView.of(next(iter(made_rows(3, scenes=1, each=1))))
+    texts = ["Go  on", "", "¿Ve\u00a0al baño ;\tsi no, para?", " Stop .", "a\x1fb\u2028c\n", "Go on."]
+    views = CodedViews([view._replace(text=text) for text in texts])
+    found = views.words
+    said = [[found.names[word] for word in found.word[found.text == k]] for k in range(len(texts))]
+    assert said == [words(view) for view in views]
+    assert found.names == [*dict.fromkeys(word for view in views for word in words(view))]
+
+
 def test_combinations_have_different_numbers() -> None:
     rng = np.random.default_rng(1)
     for most in (1, 3, 10**9):
