@@ -1,4 +1,4 @@
-"""The direction of a Newton step for many logistic regressions side by side, as one compiled kernel.
+"""The direction of a Newton step for many logistic regressions side by side, and what it depends on, as kernels.
 
 The regressions are fitted to the same texts; the shares of a text that one of them does not learn from are 0. The
 kernel computes in single precision and on whole vectors: a direction may miss a part of the gradient (`FORCING`). Its
@@ -23,10 +23,13 @@ __all__ = [
     "add_rows",
     "head_factor",
     "newton_direction",
+    "share_out",
 ]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 U32 = NDArray[np.uint32]
 Floats = NDArray[np.floating[Any]]
 
@@ -112,6 +115,34 @@ def head_factor(starts: U32, words: U32, texts: int, penalty: F64, curvature: fl
             for j in range(i, size):
                 row[j] -= factor * pivot[j]
     return found
+
+
+@compiled
+def share_out(scores: F64, gold: I64, inside: Bools, shares: F64, losses: F64) -> None:
+    """Compute the probabilities of classes from their scores.
+
+    Parameters
+    ----------
+    scores : (texts, fits, classes), −∞ for classes that a fit does not have
+    gold : (texts,) right class of each text
+    inside : (texts, fits), which texts a fit learns from
+    shares : (texts, fits, classes), zeros; gets the probability of each class for each text that a fit learns from
+    losses : (fits,), zeros; gets each fit's sum of the negative logarithms of the right classes' probabilities
+    """
+    texts, fits, classes = scores.shape
+    for text in range(texts):
+        for fit in range(fits):
+            if inside[text, fit]:
+                own, share = scores[text, fit], shares[text, fit]
+                top, total = own[0], 0.0
+                for k in range(1, classes):
+                    top = max(top, own[k])
+                for k in range(classes):
+                    share[k] = np.exp(own[k] - top)
+                    total += share[k]
+                for k in range(classes):
+                    share[k] /= total
+                losses[fit] += np.log(total) + top - own[gold[text]]
 
 
 @compiled
@@ -252,6 +283,8 @@ def _weigh(shares: F32, fits: int, classes: int, spread: F32) -> None:
 def _warm_up() -> None:
     begins, members = np.array([0, 1, 2], dtype=np.uint32), np.zeros(2, dtype=np.uint32)
     add_rows(begins, members, np.ones((1, 1)), np.zeros((2, 1)))
+    inside, scores = np.ones((1, 1), dtype=np.bool_), np.zeros((1, 1, 2))
+    share_out(scores, np.zeros(1, dtype=np.int64), inside, np.zeros_like(scores), np.zeros(1))
     factor = head_factor(begins, members, constant(2), np.ones(1), 0.5).astype(np.float32)
     shares, one = np.full((2, LANES), 0.5, dtype=np.float32), np.ones((1, LANES), dtype=np.float32)
     ends = np.array([0, 2], dtype=np.uint32)

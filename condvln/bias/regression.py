@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from itertools import chain, pairwise
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
@@ -29,6 +28,7 @@ from condvln.bias.newton_direction import (
     add_rows,
     head_factor,
     newton_direction,
+    share_out,
 )
 from condvln.compiled import constant
 
@@ -243,16 +243,18 @@ class _Fits:
 
     words, texts : the words of each text and the texts of each word: first the intercept, which is in all texts, then
         the features, the most frequent one first; equal features are one
+    gold : (texts,), the right class of each text
+    inside : (texts, fits), which texts a fit learns from
     hot : (texts, fits, classes), 1 for the right class of a text that a fit learns from
-    inside : (texts, fits, 1), 1 for the texts that a fit learns from
     absent : (fits, classes), 0 for the classes that a fit has, else −∞
     penalty : (words, fits, 1), 0 for the intercept
     """
 
     words: Lists
     texts: Lists
+    gold: NDArray[np.int64]
+    inside: Bools
     hot: F64
-    inside: F64
     absent: F64
     penalty: F64
     preconditioner: Preconditioner
@@ -260,7 +262,7 @@ class _Fits:
     @classmethod
     def of(cls, features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> _Fits:
         """Return the losses of the fits that :func:`fitted_scores` makes from the same arguments."""
-        words, times = _different(features)
+        columns, times = _different(features)
         hot = ((gold[:, None] == np.arange(gold.max() + 1))[:, None] & inside[:, :, None]).astype(np.float64)
         absent = np.where(hot.any(axis=0), 0.0, -np.inf)
         # Words that always occur together have equal weights. One weight, their sum, stands for them: the sum of their
@@ -268,34 +270,25 @@ class _Fits:
         penalty = np.append(0.0, PENALTY / times)[:, None, None] * np.ones((len(absent), 1))
         # Two classes have one weight vector w in scikit-learn. Here each has its own, w/2 and −w/2: half the norm.
         penalty[:, (absent == 0.0).sum(axis=1) == 2] *= 2.0
-        words, middle = _with_intercept(words), len(absent) // 2
+        words, middle = columns.tocsr(), len(absent) // 2
         classes = int((absent[middle] == 0.0).sum())
         near = _preconditioner(words[inside[:, middle]], penalty[:, middle, 0], classes)
-        lists = _lists(words), _lists(words.tocsc())
-        return cls(*lists, hot, inside[:, :, None].astype(np.float64), absent, penalty, near)
+        lists = _lists(words), _lists(columns)
+        return cls(*lists, gold.astype(np.int64), np.ascontiguousarray(inside), hot, absent, penalty, near)
 
     def subset(self, mask: Bools) -> _Fits:
         """Return the fits in `mask`."""
-        hot, inside, penalty = (one[:, mask] for one in (self.hot, self.inside, self.penalty))
-        return _Fits(self.words, self.texts, hot, inside, self.absent[mask], penalty, self.preconditioner)
+        inside = np.ascontiguousarray(self.inside[:, mask])
+        hot, penalty = (one[:, mask] for one in (self.hot, self.penalty))
+        absent = self.absent[mask]
+        return _Fits(self.words, self.texts, self.gold, inside, hot, absent, penalty, self.preconditioner)
 
     def at(self, weights: F64) -> _Place:
         """Return the scores, shares and losses of these weights."""
         scores = _sums(self.words, weights)
         scores += self.absent
-        top = _over_classes(np.maximum, scores)
-        # Class by class, since NumPy spreads values over so short an axis slowly, and in place.
-        shares = np.empty_like(scores)
-        for own, share in zip(_by_class(scores), _by_class(shares), strict=True):
-            np.subtract(own, top, out=share)
-        np.exp(shares, out=shares)
-        sums = _over_classes(np.add, shares)
-        scale = self.inside[..., 0] / sums
-        for share in _by_class(shares):
-            share *= scale
-        logs = (np.log(sums) + top) * self.inside[..., 0]
-        right = _over_classes(np.add, np.where(self.hot > 0.0, scores, 0.0))
-        loss = (logs - right).sum(axis=0) + _dot(self.penalty * weights, weights) / 2
+        shares, loss = np.zeros_like(scores), _dot(self.penalty * weights, weights) / 2
+        share_out(scores, self.gold, self.inside, shares, loss)
         return _Place(weights, scores, shares, loss)
 
     def gradient(self, place: _Place) -> F64:
@@ -351,13 +344,6 @@ def _whole_vectors(values: F64) -> NDArray[np.float32]:
     return found
 
 
-def _with_intercept(words: csr_matrix) -> csr_matrix:
-    """Return `words` after a column of ones."""
-    texts, count = words.shape
-    begins, columns = words.indptr + np.arange(texts + 1), np.insert(words.indices + 1, words.indptr[:-1], 0)
-    return csr_matrix((np.ones(len(columns)), columns, begins), shape=(texts, count + 1))
-
-
 def _preconditioner(learned: csr_matrix, penalty: F64, classes: int) -> Preconditioner:
     """Return an approximate inverse of the Hessian of a fit: that for equal shares, without the products of two words
     one of which is rare. It suits fits to more and to fewer texts well enough.
@@ -377,26 +363,23 @@ def _lists(words: csr_matrix | csc_matrix) -> Lists:
     return Lists(words.indptr.astype(np.uint32), words.indices.astype(np.uint32))
 
 
-def _over_classes(operation: np.ufunc, values: F64) -> F64:
-    """Return what `operation` makes of the values of all classes, the last axis. NumPy's own reduction takes several
-    times as long over so short an axis.
+def _different(features: csr_matrix) -> tuple[csc_matrix, NDArray[np.int64]]:
+    """Return the different columns of `features`, the most frequent words first, after a column of ones, and how often
+    each of them occurs.
     """
-    found: F64 = reduce(operation, _by_class(values))
-    return found
-
-
-def _by_class(values: F64) -> Iterator[F64]:
-    """Yield the values of each class, the last axis, as views."""
-    yield from np.moveaxis(values, -1, 0)
-
-
-def _different(features: csr_matrix) -> tuple[csr_matrix, NDArray[np.int64]]:
-    """Return the different columns of `features`, the most frequent words first, and how often each of them occurs."""
-    columns = features.tocsc()
-    first: dict[bytes, int] = {}
-    number = [
-        first.setdefault(columns.indices[begin:end].tobytes(), len(first)) for begin, end in pairwise(columns.indptr)
-    ]
-    _, at, times = np.unique(number, return_index=True, return_counts=True)
+    columns, texts = features.tocsc(), features.shape[0]
+    numbers: dict[bytes, int] = {}
+    number: list[int] = []
+    at: list[int] = []
+    for k, (begin, end) in enumerate(pairwise(columns.indptr.tolist())):
+        number.append(numbers.setdefault(columns.indices[begin:end].tobytes(), len(numbers)))
+        if number[-1] == len(at):
+            at.append(k)
     order = np.argsort(-np.diff(columns.indptr)[at], kind="stable")
-    return columns[:, at[order]].tocsr(), times[order]
+    chosen = np.array(at, dtype=np.int64)[order]
+    sizes = np.diff(columns.indptr)[chosen]
+    ends = np.cumsum(sizes)
+    members = columns.indices[np.repeat(columns.indptr[chosen] - (ends - sizes), sizes) + np.arange(sizes.sum())]
+    members, begins = np.concatenate([np.arange(texts), members]), np.concatenate([[0], [texts], texts + ends])
+    found = csc_matrix((np.ones(len(members)), members, begins), shape=(texts, len(chosen) + 1))
+    return found, np.bincount(number)[order]
