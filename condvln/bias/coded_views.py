@@ -140,18 +140,19 @@ class CodedViews(list[GuesserView]):
     def statements(self) -> Statements:
         """What the conditions state."""
         asked = [one for view in self for one in view.asked]
+        label, room, predicate, anchor, truth, definite = zip(*asked, strict=True) if asked else [()] * 6
         episode, place, begins = _repeated([len(view.asked) for view in self])
         return Statements(
             episode,
             place,
             begins,
-            numbered(one.label for one in asked)[0],
-            numbered(one.room for one in asked)[0],
-            numbered(one.predicate for one in asked)[0],
-            numbered(one.anchor for one in asked)[0],
-            np.array([one.predicate != "" for one in asked], dtype=np.int64),
-            np.array([one.definite for one in asked], dtype=np.int64),
-            np.array([one.truth for one in asked], dtype=np.int64),
+            numbered(label)[0],
+            numbered(room)[0],
+            numbered(predicate)[0],
+            numbered(anchor)[0],
+            np.array([*map(bool, predicate)], dtype=np.int64),
+            np.array(definite, dtype=np.int64),
+            np.array(truth, dtype=np.int64),
         )
 
     @cached_property

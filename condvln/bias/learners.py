@@ -213,16 +213,29 @@ def _regression(*kinds: Kind) -> Learner:
         coded = CodedViews.of(views)
         found = [(text.astype(np.int32), dense(code).astype(np.int32)) for kind in kinds for text, code in kind(coded)]
         for category in np.unique(coded.category).tolist():
-            inside = coded.category == category
-            mine = np.flatnonzero(inside)
+            mine = np.flatnonzero(coded.category == category)
             if len(mine) >= LEAST_EPISODES:
                 # A matrix for all categories would be the largest thing in memory.
-                place = np.cumsum(inside) - 1
-                own = [(place[text[part]], code[part]) for text, code in found for part in [inside[text]]]
+                own = [_among(mine, *one) for one in found]
                 guesses[mine] = guessed_from([views[k] for k in mine.tolist()], coded_features(len(mine), own))
         return guesses
 
     return learner
+
+
+def _among(mine: Indices, text: NDArray[np.int32], code: NDArray[np.int32]) -> Occurrences:
+    """Return those features of one kind that the texts `mine` have, with the places of the texts in `mine`. Both `mine`
+    and `text` are in ascending order.
+    """
+    first, last = int(mine[0]), int(mine[-1])
+    begin, end = np.searchsorted(text, (first, last + 1))
+    text, code = text[begin:end], code[begin:end]
+    if len(mine) == last + 1 - first:  # as in the gate, which sorts episodes by category
+        return text - first, code
+    place = np.full(last + 1 - first, -1, dtype=np.int64)
+    place[mine - first] = np.arange(len(mine))
+    own = place[text - first]
+    return own[own >= 0], code[own >= 0]
 
 
 def _text_words(views: CodedViews) -> Iterator[Occurrences]:

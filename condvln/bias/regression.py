@@ -90,7 +90,7 @@ class Labelled(Protocol):
 _Labelled = TypeVar("_Labelled", bound=Labelled)
 
 Occurrences = tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]
-"""Features of one kind: the index of a text and the number of a feature that it has, each in one array."""
+"""Features of one kind: the index of a text, ascending, and the number of a feature that it has, each in one array."""
 
 
 def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[Hashable]]) -> Guesses:
@@ -100,12 +100,12 @@ def regressed(views: Sequence[_Labelled], words: Callable[[_Labelled], Iterable[
     return _guesses(views, word_features([words(view) for view in views]))
 
 
-def guessed_from(views: Sequence[_Labelled], features: csr_matrix) -> Guesses:
+def guessed_from(views: Sequence[_Labelled], features: csc_matrix) -> Guesses:
     """Return the guesses of :func:`regressed` from the features that :func:`coded_features` returns."""
     return _guesses(views, _usual(features))
 
 
-def _guesses(views: Sequence[_Labelled], features: csr_matrix) -> Guesses:
+def _guesses(views: Sequence[_Labelled], features: csc_matrix) -> Guesses:
     guesses = np.full(len(views), NO_GUESS, dtype=np.int64)
     gold = np.array([view.gold for view in views], dtype=np.int64)
     fits = []
@@ -126,7 +126,7 @@ def _guesses(views: Sequence[_Labelled], features: csr_matrix) -> Guesses:
     return guesses
 
 
-def word_features(texts: Sequence[Iterable[Hashable]]) -> csr_matrix:
+def word_features(texts: Sequence[Iterable[Hashable]]) -> csc_matrix:
     """Return the feature matrix (episodes, words): 1 where a text contains the word. Very rare and very common words
     are left out.
     """
@@ -137,24 +137,34 @@ def word_features(texts: Sequence[Iterable[Hashable]]) -> csr_matrix:
     return _usual(coded_features(len(rows), [(np.repeat(np.arange(len(rows)), [*map(len, rows)]), columns)]))
 
 
-def coded_features(texts: int, kinds: Iterable[Occurrences]) -> csr_matrix:
+def coded_features(texts: int, kinds: Iterable[Occurrences]) -> csc_matrix:
     """Return the matrix (texts, features) of features of several kinds: 1 where a text has the feature."""
-    rows, columns, width = [], [], 0
+    places, width = [], 0
     for row, code in kinds:
         number = dense(code)
-        rows.append(row)
-        columns.append(number + width)
+        places.append((number + width) * texts + row)
         width += int(number.max(initial=-1)) + 1
-    places = (np.concatenate(rows), np.concatenate(columns))
-    found = csr_matrix((np.ones(len(places[0])), places), shape=(texts, width))
-    found.data[:] = 1.0
-    return found
+    # Sorted by features, then by texts, as the matrix is stored.
+    found = np.concatenate(places)
+    found.sort()
+    found = found[np.append(True, found[1:] != found[:-1])] if len(found) else found
+    columns = found // max(texts, 1)
+    begins = np.append(0, np.cumsum(np.bincount(columns, minlength=width)))
+    return csc_matrix((np.ones(len(found)), found - columns * texts, begins), shape=(texts, width))
 
 
-def _usual(features: csr_matrix) -> csr_matrix:
+def _usual(features: csc_matrix) -> csc_matrix:
     """Return `features` without very rare and very common ones."""
-    counts = np.bincount(features.indices, minlength=features.shape[1])
-    return _columns(features, (counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * features.shape[0]))
+    counts = np.diff(features.indptr)
+    return _columns(features, np.flatnonzero((counts >= LEAST_TEXTS) & (counts <= MOST_TEXTS * features.shape[0])))
+
+
+def _columns(features: csc_matrix, chosen: NDArray[np.integer[Any]]) -> csc_matrix:
+    """Return the columns of `features` with the numbers `chosen`, in this order."""
+    sizes = np.diff(features.indptr)[chosen]
+    begins = np.append(0, np.cumsum(sizes))
+    members = features.indices[np.repeat(features.indptr[chosen] - begins[:-1], sizes) + np.arange(begins[-1])]
+    return csc_matrix((np.ones(len(members)), members, begins), shape=(features.shape[0], len(chosen)))
 
 
 def combined(*codes: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -177,15 +187,7 @@ def dense(codes: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
     return found
 
 
-def _columns(features: csr_matrix, mask: Bools) -> csr_matrix:
-    """Return the columns of `features` that are in the mask."""
-    kept = mask[features.indices]
-    offsets = np.append(0, np.cumsum(kept))[features.indptr]
-    columns = (np.cumsum(mask) - 1)[features.indices[kept]]
-    return csr_matrix((features.data[kept], columns, offsets), shape=(features.shape[0], int(mask.sum())))
-
-
-def fitted_scores(features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> F64:
+def fitted_scores(features: csr_matrix | csc_matrix, gold: NDArray[np.int64], inside: Bools) -> F64:
     """Fit a regression to each set of texts, and return the scores (texts, fits, classes) that it gives to all texts;
     −∞ for classes that the set does not have.
 
@@ -260,7 +262,7 @@ class _Fits:
     preconditioner: Preconditioner
 
     @classmethod
-    def of(cls, features: csr_matrix, gold: NDArray[np.int64], inside: Bools) -> _Fits:
+    def of(cls, features: csr_matrix | csc_matrix, gold: NDArray[np.int64], inside: Bools) -> _Fits:
         """Return the losses of the fits that :func:`fitted_scores` makes from the same arguments."""
         columns, times = _different(features)
         hot = ((gold[:, None] == np.arange(gold.max() + 1))[:, None] & inside[:, :, None]).astype(np.float64)
@@ -363,7 +365,7 @@ def _lists(words: csr_matrix | csc_matrix) -> Lists:
     return Lists(words.indptr.astype(np.uint32), words.indices.astype(np.uint32))
 
 
-def _different(features: csr_matrix) -> tuple[csc_matrix, NDArray[np.int64]]:
+def _different(features: csr_matrix | csc_matrix) -> tuple[csc_matrix, NDArray[np.int64]]:
     """Return the different columns of `features`, the most frequent words first, after a column of ones, and how often
     each of them occurs.
     """
@@ -376,10 +378,7 @@ def _different(features: csr_matrix) -> tuple[csc_matrix, NDArray[np.int64]]:
         if number[-1] == len(at):
             at.append(k)
     order = np.argsort(-np.diff(columns.indptr)[at], kind="stable")
-    chosen = np.array(at, dtype=np.int64)[order]
-    sizes = np.diff(columns.indptr)[chosen]
-    ends = np.cumsum(sizes)
-    members = columns.indices[np.repeat(columns.indptr[chosen] - (ends - sizes), sizes) + np.arange(sizes.sum())]
-    members, begins = np.concatenate([np.arange(texts), members]), np.concatenate([[0], [texts], texts + ends])
-    found = csc_matrix((np.ones(len(members)), members, begins), shape=(texts, len(chosen) + 1))
+    words = _columns(columns, np.array(at, dtype=np.int64)[order])
+    members, begins = np.append(np.arange(texts), words.indices), np.append(0, texts + words.indptr)
+    found = csc_matrix((np.ones(len(members)), members, begins), shape=(texts, len(at) + 1))
     return found, np.bincount(number)[order]
