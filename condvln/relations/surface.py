@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from condvln.scene.meshes import WorldMesh
 __all__ = ["MeshOf", "solid_distance", "surface_distances"]
 
 F64 = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 MeshOf = Callable[[SceneObject], WorldMesh | None]
 """Returns an object's mesh in the scene's frame, or None if it has none, e.g. `MeshLibrary.world_mesh`."""
@@ -47,44 +48,52 @@ def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, mes
     solids: dict[int, Solid] = {}
     for k in np.unique(np.concatenate([rows, columns])).tolist():
         solids[k] = solid_of(arrays.objects[k], np.array([arrays.aabb_min[k], arrays.aabb_max[k]]), found[k])
-    together: list[tuple[int, int]] = []
-    ones: list[BoxSolid] = []
-    others: list[BoxSolid] = []
-    for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
-        one, other = solids[i], solids[j]
-        if isinstance(one, BoxSolid) and isinstance(other, BoxSolid):
-            together.append((i, j))
-            ones.append(one)
-            others.append(other)
-        else:
-            distance[i, j] = distance[j, i] = solid_distance(one, other)
-    if together:
-        rows, columns = np.array(together).T
-        distance[rows, columns] = distance[columns, rows] = _between_boxes(ones, others)
+    distance[rows, columns] = distance[columns, rows] = _distances(solids, rows, columns)
     np.fill_diagonal(distance, 0.0)
     return round_mm(distance)
 
 
 def solid_distance(first: Solid, second: Solid) -> float:
-    """Return the distance of two solids in metres; 0 where they overlap or one contains a piece of the other.
+    """Return the distance of two solids in metres; 0 where they overlap or one contains a piece of the other."""
+    return float(_distances({0: first, 1: second}, np.array([0]), np.array([1]))[0])
 
-    Between an object and the box that it lies in, surfaces have a gap, so containment is tested separately.
+
+def _distances(solids: Mapping[int, Solid], rows: Indices, columns: Indices) -> F64:
+    """Return the distances (p,) of pairs of solids in metres; 0 where two overlap or one contains a piece of the other.
+
+    rows, columns : (p,) the keys of each pair's solids
     """
-    if isinstance(first, BoxSolid) and isinstance(second, BoxSolid):
-        return float(_between_boxes([first], [second])[0])
-    distance = first.surface.distance(second.surface)
-    if distance <= TOUCHING or _are_apart(first.surface.extent, second.surface.extent):
-        return distance
-    for one, other in ((first, second), (second, first)):
-        if one.has_inside and one.contains(other.pieces).any():
-            return 0.0
-    return distance
-
-
-def _are_apart(one: F64, other: F64) -> bool:
-    """Return whether two boxes (2, 3) have a gap between them."""
-    (low, high), (other_low, other_high) = one.tolist(), other.tolist()
-    return any(low[k] > other_high[k] or other_low[k] > high[k] for k in range(3))
+    pairs = list(zip(rows.tolist(), columns.tolist(), strict=True))
+    found = np.empty(len(pairs))
+    ones: list[BoxSolid] = []
+    others: list[BoxSolid] = []
+    boxed = np.zeros(len(pairs), dtype=np.bool_)
+    for k, (i, j) in enumerate(pairs):
+        one, other = solids[i], solids[j]
+        if isinstance(one, BoxSolid) and isinstance(other, BoxSolid):
+            ones.append(one)
+            others.append(other)
+            boxed[k] = True
+        else:
+            found[k] = one.surface.distance(other.surface)
+    if ones:
+        found[boxed] = _between_boxes(ones, others)
+    # Between an object and the box that it lies in, surfaces have a gap, so containment is tested separately.
+    unsure = np.flatnonzero(~boxed & (found > TOUCHING))
+    extents = np.empty((1 + max(solids, default=0), 2, 3))
+    for k in {*rows[unsure].tolist(), *columns[unsure].tolist()}:
+        extents[k] = solids[k].surface.extent
+    (low, high), (other_low, other_high) = (extents[ends[unsure]].transpose(1, 0, 2) for ends in (rows, columns))
+    unsure = unsure[~((low > other_high) | (other_low > high)).any(axis=1)]
+    for one, other in ((rows[unsure], columns[unsure]), (columns[unsure], rows[unsure])):
+        for k in np.unique(one).tolist():
+            if solids[k].has_inside:
+                mine = one == k
+                pieces = [solids[n].pieces for n in other[mine].tolist()]
+                inside = solids[k].contains(np.concatenate(pieces))
+                begins = np.cumsum([0, *map(len, pieces[:-1])])
+                found[unsure[mine][np.logical_or.reduceat(inside, begins)]] = 0.0
+    return found
 
 
 def _between_boxes(first: Sequence[BoxSolid], second: Sequence[BoxSolid]) -> F64:

@@ -83,31 +83,37 @@ class MeshLibrary:
 
     def placed(self, part: MeshPart) -> WorldMesh:
         """Return the triangles of a mesh part, in the scene's frame."""
-        geometry = self.geometry(part.path)
-        faces = geometry.faces
-        turned = part.transform[:3, :3]
-        rigid = _is_rotation(turned)
-        if np.linalg.det(turned) < 0:
-            faces, rigid = faces[:, ::-1], False
-        vertices = transform_points(part.transform, geometry.vertices)
-        if not rigid:
-            return WorldMesh(vertices, faces, geometry.watertight)
-        return WorldMesh(vertices, faces, geometry.watertight, geometry, part.transform)
+        return _placed(self.geometry(part.path), part.transform)
 
     def world_mesh(self, item: SceneObject) -> WorldMesh | None:
         """Return all parts of an object as one mesh; None if the object has no mesh."""
-        parts = [self.placed(part) for part in item.mesh]
-        if not parts or (len(parts) == 1 and parts[0].asset is not None):
-            return parts[0] if parts else None
-        vertices = np.concatenate([p.vertices for p in parts])
+        if not item.mesh:
+            return None
+        assets = [self.geometry(part.path) for part in item.mesh]
+        if len(assets) == 1:
+            alone = _placed(assets[0], item.mesh[0].transform)
+            if alone.asset is not None:
+                return alone
         transforms = np.array([part.transform for part in item.mesh])
         pose = _pose_of(transforms)
         if pose is None:
+            parts = [_placed(asset, part.transform) for asset, part in zip(assets, item.mesh, strict=True)]
             faces = _all_faces([p.faces for p in parts], [len(p.vertices) for p in parts])
-            return WorldMesh(vertices, faces, all(p.watertight for p in parts))
+            return WorldMesh(np.concatenate([p.vertices for p in parts]), faces, all(p.watertight for p in parts))
+        vertices = [transform_points(p.transform, a.vertices) for p, a in zip(item.mesh, assets, strict=True)]
         places = np.round(np.linalg.inv(pose) @ transforms, PLACE_DIGITS) + 0.0
-        body = self._assembled(tuple(self.geometry(part.path) for part in item.mesh), places.tobytes())
-        return WorldMesh(vertices, body.faces, body.watertight, body, pose)
+        body = self._assembled(tuple(assets), places.tobytes())
+        return WorldMesh(np.concatenate(vertices), body.faces, body.watertight, body, pose)
+
+
+def _placed(asset: GlbGeometry, transform: NDArray[np.float64]) -> WorldMesh:
+    """Return the triangles of an asset that are moved by a transform (4, 4) into the scene's frame."""
+    vertices, faces, turned = transform_points(transform, asset.vertices), asset.faces, transform[:3, :3]
+    if np.linalg.det(turned) < 0:
+        return WorldMesh(vertices, faces[:, ::-1], asset.watertight)
+    if not _is_rotation(turned):
+        return WorldMesh(vertices, faces, asset.watertight)
+    return WorldMesh(vertices, faces, asset.watertight, asset, transform)
 
 
 def _pose_of(transforms: NDArray[np.float64]) -> NDArray[np.float64] | None:
