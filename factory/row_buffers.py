@@ -141,7 +141,7 @@ class _Feed:
             self.data(b"")
             return 0
         ends = np.frombuffer(offsets, layout.dtype, count=n + 1)
-        lengths = np.diff(ends).astype("<i8")
+        lengths = np.subtract(ends[1:], ends[:-1], dtype=np.int64).astype("<i8", copy=False)  # np.diff takes long
         if ends[0] or (valid is not None and lengths[~valid].any()):
             raise UnreadableBuffersError
         self.data(lengths)

@@ -44,12 +44,15 @@ def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Ta
         missing = [c for c in spec.schema.names if c not in table.column_names]
         extra = [c for c in table.column_names if c not in spec.schema.names]
         raise StageError(f"table {name!r} does not have its columns: missing {missing}, extra {extra}")
-    try:
-        cast = table.select(spec.schema.names).cast(spec.schema.remove_metadata()).combine_chunks()
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, ValueError) as error:
-        raise StageError(f"table {name!r} does not fit its schema: {error}") from error
-    for field in spec.schema:
-        _refuse_nulls(cast.column(field.name), field, f"{name}.{field.name}")
+    cast, wanted = table.select(spec.schema.names).replace_schema_metadata(None), spec.schema.remove_metadata()
+    if not cast.schema.equals(wanted, check_metadata=True):  # a cast takes long even where it changes nothing
+        try:
+            cast = cast.cast(wanted)
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, ValueError) as error:
+            raise StageError(f"table {name!r} does not fit its schema: {error}") from error
+    cast = cast.combine_chunks()
+    for field, column in zip(spec.schema, cast.columns, strict=True):
+        _refuse_nulls(column, field, f"{name}.{field.name}")
     return _sorted(cast, spec.sort_keys, name)
 
 
@@ -59,6 +62,8 @@ def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
     order = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
     if not np.array_equal(order.to_numpy(), np.arange(table.num_rows, dtype=np.uint64)):
         table = table.take(order).combine_chunks()
+        if _ascends(table, keys):
+            return table
     same = np.ones(table.num_rows - 1, dtype=bool)
     for key in keys:
         column = table.column(key)
@@ -88,14 +93,17 @@ def _ascends(table: pa.Table, keys: tuple[str, ...]) -> bool:
 
 
 def _refuse_nulls(column: Any, field: pa.Field, where: str) -> None:
+    """Raise ``StageError`` if the column called ``where``, or one nested in it, has nulls that it may not have."""
+    if not field.nullable and column.null_count:
+        raise StageError(f"{where} has {column.null_count} nulls, and its schema allows none")
+    if not field.type.num_fields:
+        return
     for array in column.chunks if isinstance(column, pa.ChunkedArray) else [column]:
-        if not field.nullable and array.null_count:
-            raise StageError(f"{where} has {array.null_count} nulls, and its schema allows none")
         if pa.types.is_struct(field.type):
             # Fields of a null struct are null themselves, so only whole structs are looked into.
             whole = array.drop_null() if array.null_count else array
-            for at in range(field.type.num_fields):
-                _refuse_nulls(whole.field(at), field.type.field(at), f"{where}.{field.type.field(at).name}")
+            for at, child in enumerate(field.type):
+                _refuse_nulls(whole.field(at), child, f"{where}.{child.name}")
         elif pa.types.is_list(field.type) or pa.types.is_large_list(field.type):
             _refuse_nulls(array.flatten(), field.type.value_field, f"{where}[]")
 

@@ -169,9 +169,9 @@ class EpisodeStage(Stage):
                 "placements": placements,
                 "unplaced": unplaced_table(names if sha256 is None else ()),
                 "rejections": pa.concat_tables(
-                    [
-                        rejections_table(scene.scene_id, DRAWING, failed),
+                    [  # in the order of the published table, which then need not be sorted
                         rejections_table(scene.scene_id, PLACING, pool.rejections, pool.examples),
+                        rejections_table(scene.scene_id, DRAWING, failed),
                     ]
                 ),
                 "funnel": funnel_table(
