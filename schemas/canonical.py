@@ -36,13 +36,14 @@ def digest(value: JSON) -> str:
 
 
 def _checked(value: JSON) -> JSON:
-    if type(value) in _PLAIN:  # most values, and asking for a mapping takes long
+    # Most values are plain, and asking for a mapping takes long.
+    if type(value) in _PLAIN:
         return value
+    if isinstance(value, (list, tuple)):
+        return [item if type(item) in _PLAIN else _checked(item) for item in value]
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):
                 raise TypeError(f"keys of a canonical document must be text, not {type(name).__name__} ({name!r})")
-        return {name: _checked(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_checked(item) for item in value]
+        return {name: item if type(item) in _PLAIN else _checked(item) for name, item in value.items()}
     return value

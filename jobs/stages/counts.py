@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import pyarrow as pa
@@ -35,8 +36,13 @@ class CountStage(Stage):
     tables: tuple[str, ...] = ("counts",)
     reads: tuple[str, ...] | None = ("rooms", "objects")
 
-    def parameters(self, unit: Unit) -> JSON:
+    @cached_property
+    def _parameters(self) -> JSON:
+        """What `parameters` returns: one object for all units, whose hash is cached."""
         return {"thresholds": dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
+
+    def parameters(self, unit: Unit) -> JSON:
+        return self._parameters
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         found = LabelPriors.of_tables(upstream["rooms"], upstream["objects"], self.thresholds, self.anchor_size)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import pyarrow as pa
 
@@ -71,7 +72,9 @@ class EpisodeStage(Stage):
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
     needs: tuple[str, ...] = ("priors",)
 
-    def parameters(self, unit: Unit) -> JSON:
+    @cached_property
+    def _parameters(self) -> JSON:
+        """What `parameters` returns: one object for all units, whose hash is cached."""
         wording: dict[str, JSON] = {}
         wanted = asked_of(self.instructions)
         if any(cell.words for cell in self.instructions.cells):
@@ -89,6 +92,9 @@ class EpisodeStage(Stage):
             "text": {"preamble": self.preamble},
             "seed": self.seed,
         }
+
+    def parameters(self, unit: Unit) -> JSON:
+        return self._parameters
 
     def dependencies(self, unit: Unit, upstream: Tables, shared: Tables) -> JSON:
         return dict(self._bits(scene_of(unit, upstream), shared).document())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
 from condvln.relations import relate_scene, relation_table, text_facts
@@ -74,8 +75,13 @@ class RelationStage(Stage):
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects")
     reads_inputs: bool = True
 
-    def parameters(self, unit: Unit) -> JSON:
+    @cached_property
+    def _parameters(self) -> JSON:
+        """What `parameters` returns: one object for all units, whose hash is cached."""
         return {"thresholds": dump(self.thresholds)}
+
+    def parameters(self, unit: Unit) -> JSON:
+        return self._parameters
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -38,13 +39,18 @@ class TextStage(Stage):
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 
-    def parameters(self, unit: Unit) -> JSON:
+    @cached_property
+    def _parameters(self) -> JSON:
+        """What `parameters` returns: one object for all units, whose hash is cached."""
         return {
             "text": dump(self.text),
             "instructions": dump(self.wording),
             "episodes": {"max_steps": self.max_steps},
             "seed": self.seed,
         }
+
+    def parameters(self, unit: Unit) -> JSON:
+        return self._parameters
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         placements, table = upstream["placements"], upstream["programs"]
