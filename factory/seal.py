@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from typing import TypeVar
 
+import orjson
 from pydantic import BaseModel
 
 from schemas.canonical import digest
@@ -21,7 +22,7 @@ Model = TypeVar("Model", bound=BaseModel)
 def sealed(document: BaseModel) -> bytes:
     """Encode the document as JSON with its field ``checksum`` set."""
     content = document.model_dump(mode="json", exclude={"checksum"})
-    return json.dumps({**content, "checksum": digest(content)}, indent=1, ensure_ascii=False).encode()
+    return orjson.dumps({**content, "checksum": digest(content)}, option=orjson.OPT_INDENT_2)
 
 
 def unsealed(kind: type[Model], data: bytes) -> Model:
