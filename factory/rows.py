@@ -59,6 +59,7 @@ def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Ta
 def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
     if table.num_rows < 2 or not keys or _ascends(table, keys):
         return table
+    table = table.combine_chunks()
     order = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
     if not np.array_equal(order.to_numpy(), np.arange(table.num_rows, dtype=np.uint64)):
         table = table.take(order).combine_chunks()
@@ -297,8 +298,8 @@ class _Feed:
 def parquet_bytes(
     table: pa.Table, *, sort_keys: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None
 ) -> Any:
-    """Encode ``table`` as one Parquet file, with a single call of ``write_table``, so that equal tables give equal
-    bytes.
+    """Encode ``table`` as one Parquet file, with a single call of ``write_table``, so that equal tables in equal chunks
+    give equal bytes.
     """
     sink = pa.BufferOutputStream()
     pq.write_table(
@@ -308,11 +309,24 @@ def parquet_bytes(
         compression_level=ZSTD_LEVEL,
         row_group_size=ROW_GROUP_ROWS,
         write_page_index=True,
+        # A dictionary of numbers takes long to make, and seldom makes the file smaller.
+        use_dictionary=[path for field in table.schema for path in _text_paths(field.name, field.type)],
         sorting_columns=pq.SortingColumn.from_ordering(table.schema, [(key, "ascending") for key in sort_keys])
         if sort_keys
         else None,
     )
     return sink.getvalue()
+
+
+def _text_paths(name: str, kind: pa.DataType) -> Iterator[str]:
+    """Yield the paths in a Parquet file of the columns of text in a column, nested ones included."""
+    if pa.types.is_struct(kind):
+        for field in kind:
+            yield from _text_paths(f"{name}.{field.name}", field.type)
+    elif pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        yield from _text_paths(f"{name}.list.element", kind.value_type)
+    elif _type_name(kind) == "string":
+        yield name
 
 
 def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -> pa.Table:
@@ -345,7 +359,8 @@ def concatenated(tables: Iterator[pa.Table], spec: TableSpec, name: str) -> pa.T
         return spec.schema.remove_metadata().empty_table()
     # The names of the elements of lists are in the file too: they are those that Parquet gives, whatever they were.
     joined = pa.concat_tables(whole).cast(_of_parquet(spec.schema))
-    return _sorted(joined.combine_chunks(), spec.sort_keys, name)
+    # The tables of units mostly follow each other as they are, and are then not copied into one.
+    return _sorted(joined, spec.sort_keys, name)
 
 
 @lru_cache(maxsize=64)
