@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from condvln.labels import vocabulary
 from condvln.labels.confusion import also_called
-from condvln.labels.roles import Role, labels_with_role
+from condvln.labels.roles import Role, have_role
 from condvln.labels.sizes import plausible_sizes
 from condvln.relations.metrics import millimetres
 from condvln.scene import RoomArrays, SceneObject
@@ -233,4 +233,4 @@ def _has_fallen(item: SceneObject, floor: float) -> bool:
 
 
 def _with_role(arrays: RoomArrays, role: Role) -> Bools:
-    return np.asarray(np.isin(arrays.labels, sorted(labels_with_role(role))))
+    return have_role(arrays.labels, role)

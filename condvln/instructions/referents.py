@@ -37,7 +37,7 @@ from condvln.instructions.likeness import (
 from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
 from condvln.labels.fixtures import fixtures_of, required_in
-from condvln.labels.roles import labels_with_role
+from condvln.labels.roles import have_role
 from condvln.scene import Room, RoomArrays, Scene
 from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
 from schemas.config.constants import LANDMARK_SIZE
@@ -285,9 +285,7 @@ class Referents:
         unique = nameable & ~rival.any(axis=1)
         longest, sizes = _longest_side(arrays), arrays.aabb_max - arrays.aabb_min
         small = np.asarray(longest < anchor_size)
-        fixed, landmark, portable = (
-            np.isin(arrays.labels, sorted(labels_with_role(role))) for role in ("fixed", "landmark", "portable")
-        )
+        fixed, landmark, portable = (have_role(arrays.labels, role) for role in ("fixed", "landmark", "portable"))
         fixed |= landmark & (longest >= LANDMARK_SIZE)
         anchors = np.flatnonzero(unique & ~portable & (fixed | ~small) & ~np.isnan(sizes).any(axis=1))
         return cls(

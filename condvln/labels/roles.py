@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Literal
 
-__all__ = ["Role", "labels_with_role"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Role", "have_role", "labels_with_role"]
 
 Role = Literal[
     "carpet", "desktop", "fixed", "landmark", "low table", "part", "portable", "screen", "seat", "surface", "worktop"
@@ -33,3 +37,11 @@ def labels_with_role(role: Role) -> frozenset[str]:
     """
     text = files("condvln.labels").joinpath("roles.csv").read_text(encoding="utf-8")
     return frozenset(row["label"] for row in csv.DictReader(text.splitlines()) if row["role"] == role)
+
+
+def have_role(labels: Sequence[str], role: Role) -> NDArray[np.bool_]:
+    """Return a mask (n,) of those of n canonical labels that have a role. For a room's labels, `numpy.isin` would take
+    twenty times as long.
+    """
+    found = labels_with_role(role)
+    return np.array([label in found for label in labels], dtype=np.bool_)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.labels.roles import labels_with_role
+from condvln.labels.roles import Role, have_role
 from condvln.relations.metrics import millimetres
 from condvln.scene import RoomArrays
 from schemas.config.constants import GROUP_RUG, GROUP_TABLE
@@ -22,8 +22,9 @@ def in_one_group(arrays: RoomArrays) -> NDArray[np.bool_]:
     """
     low, high = millimetres(arrays.aabb_min), millimetres(arrays.aabb_max)
     found = np.zeros((len(arrays), len(arrays)), dtype=np.bool_)
-    for role, reach in (("carpet", GROUP_RUG), ("low table", GROUP_TABLE)):
-        middle = np.flatnonzero(np.isin(arrays.labels, sorted(labels_with_role(role))))
+    reaches: tuple[tuple[Role, float], ...] = (("carpet", GROUP_RUG), ("low table", GROUP_TABLE))
+    for role, reach in reaches:
+        middle = np.flatnonzero(have_role(arrays.labels, role))
         gaps = [
             np.maximum(low[:, None, k] - high[None, middle, k], low[None, middle, k] - high[:, None, k]) for k in (0, 2)
         ]

@@ -125,14 +125,12 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     facts["lower than"] = _turned(facts["higher than"])
     facts["below"] = _turned(facts["above"])
     clear = (np.abs(metrics.elevation) < t.level) & (metrics.horizontal >= t.sector_horizontal_true)
-    beside, edges, denied = (
-        ~stacking.over,
-        edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max))),
-        {},
-    )
+    beside, denied = ~stacking.over, {}
+    edges = edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max)))
+    azimuths = np.stack([metrics.azimuth, *edges])
     clearance = _rising(metrics.horizontal, 0.0, t.sector_horizontal_true)
     for sector, predicate in enumerate(COMPASS):
-        seen = np.stack([sector_deviation(azimuth, sector) for azimuth in (metrics.azimuth, *edges)])
+        seen = sector_deviation(azimuths, sector)
         facts[predicate] = _each(pieces, _compass(seen, beside, clear, clearance, t))
         denied[predicate] = pieces.all((seen > t.sector_denied).all(axis=0) & beside)
 
