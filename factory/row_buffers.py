@@ -101,7 +101,7 @@ class _Feed:
         self.size = 0
 
     def data(self, data: Any) -> None:
-        size = data.nbytes if isinstance(data, (np.ndarray, memoryview)) else len(data)
+        size = len(data) if isinstance(data, bytes) else data.nbytes
         if size:
             self.pieces += (size.to_bytes(8, "little"), data)
             self.size += size
