@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -13,12 +14,15 @@ from numpy.typing import NDArray
 from condvln.scene.boxes import aabb_of
 from condvln.scene.quaternions import stored_matrix, stored_quaternion
 from condvln.scene.scene import MeshPart, NavmeshFile, OrientedBox, Room, Scene, SceneObject, SceneWarning
-from schemas.tables import OBJECTS, ROOMS, SCENES
+from schemas.tables import MESH_PART, OBJECTS, ORIENTED_BOX, QUATERNION, ROOMS, SCENES, VEC3
 
 __all__ = ["scene_from_tables", "scene_tables"]
 
 F64 = NDArray[np.float64]
 Row = dict[str, Any]
+T = TypeVar("T")
+
+_UNKNOWN: Final = np.full(3, np.nan)
 
 
 def scene_tables(
@@ -33,7 +37,7 @@ def scene_tables(
     return {
         "scenes": pa.Table.from_pylist([_scene_row(scene, status, reason)], schema=SCENES),
         "rooms": pa.Table.from_pylist([_room_row(scene, room) for room in rooms], schema=ROOMS),
-        "objects": pa.Table.from_pylist([_object_row(scene.scene_id, item) for item in objects], schema=OBJECTS),
+        "objects": _objects_table(scene.scene_id, objects),
     }
 
 
@@ -141,29 +145,59 @@ def _room(row: Row) -> Room:
     )
 
 
-def _object_row(scene_id: str, item: SceneObject) -> Row:
-    return {
-        "scene_id": scene_id,
-        "object_id": item.object_id,
-        "room_id": item.room_id,
-        "raw_label": item.raw_label,
-        "label": item.label,
-        "center": _point(item.center),
-        "aabb_min": None if item.aabb is None else _point(item.aabb[0]),
-        "aabb_max": None if item.aabb is None else _point(item.aabb[1]),
-        "obb": None if item.obb is None else _box_row(item.obb),
-        "size": None if item.size is None else _point(item.size),
-        "radius": item.radius,
-        "geometry": item.geometry,
-        "mesh": [_part_row(p) for p in item.mesh],
-        "static": item.static,
-        "parts": [_box_row(box) for box in item.parts],
-        "receptacles": item.receptacles,
-        "openness": item.openness,
-        "parent": item.parent,
-        "support": item.support,
-        "hidden": item.hidden,
+def _objects_table(scene_id: str, items: Sequence[SceneObject]) -> pa.Table:
+    """Return the rows of a scene's objects, made by column: a row of Python objects takes three times as long."""
+    columns: dict[str, Any] = {
+        "scene_id": [scene_id] * len(items),
+        "center": _points([item.center for item in items]),
+        "aabb_min": _points([None if item.aabb is None else item.aabb[0] for item in items]),
+        "aabb_max": _points([None if item.aabb is None else item.aabb[1] for item in items]),
+        "obb": _boxes([item.obb for item in items]),
+        "size": _points([item.size for item in items]),
+        "mesh": _lists("mesh", [item.mesh for item in items], _mesh_parts),
+        "parts": _lists("parts", [item.parts for item in items], _boxes),
     }
+    arrays = []
+    for field in OBJECTS:
+        values = columns[field.name] if field.name in columns else [getattr(item, field.name) for item in items]
+        arrays.append(values if isinstance(values, pa.Array) else pa.array(values, field.type))
+    return pa.table(arrays, schema=OBJECTS)
+
+
+def _points(points: Sequence[F64 | None]) -> pa.Array:
+    """Return points (3,) as structs; None as null."""
+    values = np.array([_UNKNOWN if point is None else point for point in points]).reshape(-1, 3)
+    return _structs(VEC3, [pa.array(axis) for axis in values.T], points)
+
+
+def _boxes(boxes: Sequence[OrientedBox | None]) -> pa.Array:
+    """Return oriented boxes as structs; None as null."""
+    turned = [(0.0, 0.0, 0.0, 1.0) if box is None else stored_quaternion(box.rotation) for box in boxes]
+    columns = [
+        _points([None if box is None else box.center for box in boxes]),
+        _points([None if box is None else box.half_extents for box in boxes]),
+        _structs(QUATERNION, [pa.array(axis) for axis in np.array(turned).reshape(-1, 4).T], boxes),
+    ]
+    return _structs(ORIENTED_BOX, columns, boxes)
+
+
+def _mesh_parts(parts: Sequence[MeshPart]) -> pa.Array:
+    values = np.concatenate([np.empty(0), *(part.transform.ravel() for part in parts)])
+    ends = pa.array(np.arange(len(parts) + 1, dtype=np.int32) * 16)
+    transforms = pa.ListArray.from_arrays(ends, pa.array(values), type=MESH_PART.field("transform").type)
+    return _structs(MESH_PART, [pa.array([part.path for part in parts], pa.string()), transforms], parts)
+
+
+def _structs(kind: pa.DataType, columns: Sequence[pa.Array], values: Sequence[object]) -> pa.Array:
+    """Return structs with these columns; null where the value is None."""
+    unknown = pa.array([value is None for value in values], pa.bool_())
+    return pa.StructArray.from_arrays(columns, fields=list(kind), mask=unknown)
+
+
+def _lists(name: str, rows: Sequence[Sequence[T]], made: Callable[[Sequence[T]], pa.Array]) -> pa.Array:
+    """Return the lists of the column of objects called `name`, whose elements are `made` together."""
+    ends = pa.array(accumulate(map(len, rows), initial=0), pa.int32())
+    return pa.ListArray.from_arrays(ends, made([one for row in rows for one in row]), type=OBJECTS.field(name).type)
 
 
 def _object(row: Row) -> SceneObject:
@@ -187,14 +221,6 @@ def _object(row: Row) -> SceneObject:
         support=row["support"],
         hidden=row["hidden"],
     )
-
-
-def _box_row(box: OrientedBox) -> Row:
-    return {
-        "center": _point(box.center),
-        "half_extents": _point(box.half_extents),
-        "rotation": dict(zip("xyzw", stored_quaternion(box.rotation), strict=True)),
-    }
 
 
 def _box(row: Row) -> OrientedBox:
