@@ -434,8 +434,7 @@ def _of_layout(priors: LabelPriors, layout: str) -> StatementCounts:
 
 
 def _summed(parts: Sequence[pa.Table]) -> pa.Table:
-    # Threads would take several times the processor time of the sums.
-    joined = pa.concat_tables([PRIORS.empty_table(), *parts]).group_by(list(_KEYS), use_threads=False)
+    joined = pa.concat_tables([PRIORS.empty_table(), *parts]).group_by(list(_KEYS))
     sums = joined.aggregate([(name, "sum") for name in _SUMMED]).rename_columns([*_KEYS, *_SUMMED])
     return sums.sort_by([(key, "ascending") for key in _KEYS]).cast(PRIORS)
 
