@@ -354,7 +354,10 @@ def _plain(schema: pa.Schema) -> pa.Schema:
 
 def concatenated(tables: Iterator[pa.Table], spec: TableSpec, name: str) -> pa.Table:
     """Concatenate canonical tables of one contract, in canonical order."""
-    whole = [*tables]
+    # One chunk a unit, however its table was stored: the bytes of a Parquet file depend on the chunks.
+    whole = [
+        table if all(column.num_chunks <= 1 for column in table.columns) else table.combine_chunks() for table in tables
+    ]
     if not whole:
         return spec.schema.remove_metadata().empty_table()
     # The names of the elements of lists are in the file too: they are those that Parquet gives, whatever they were.
