@@ -4,6 +4,7 @@ It knows nothing of what the units are. ``jobs`` makes a ``Pipeline`` and lists 
 would do, ``run`` does it and publishes a ``Snapshot``.
 """
 
+import factory.allocator  # noqa: F401 - before anything loads Arrow
 from factory.address import open_store
 from factory.executor import Executor, InlineExecutor
 from factory.files import FileHashes, hash_file

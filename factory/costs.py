@@ -43,7 +43,7 @@ class CostModel:
         self._index = index
         self._names = tuple(stage.name for stage in pipeline.stages)
         self._sums: dict[str, dict[str, Any]] = {name: defaultdict(lambda: np.zeros(2)) for name in self._names}
-        for _, batch in batches(index.table, [name for name in index.table.column_names if _counts(name)]):
+        for _, batch in batches(index.rows, [name for name in index.rows.schema.names if _counts(name)]):
             self._learn(batch)
         self._scales: dict[tuple[str, str], float] = {}
 

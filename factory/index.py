@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from itertools import islice, pairwise
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -26,9 +27,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from factory.flags import Flags
 from factory.pipeline import Pipeline
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
-from factory.scratch import BATCH_ROWS, Scratch, batches, let_go
+from factory.scratch import BATCH_ROWS, BatchedTable, Scratch, batches, let_go
 from factory.store import Store
 from factory.temporary import temporary_space
 from schemas.errors import CorruptShardError, StoreError
@@ -61,12 +63,26 @@ _STAGE_FIELDS: Final = (
     ("estimate", pa.float32()),
     ("stored", pa.int64()),
 )
-_BATCH: Final = 1024
+_BATCH: Final = 256
 """Number of receipts that are converted to columns at a time."""
-_PIECE: Final = BATCH_ROWS // 4
+_RUN_ROWS: Final = 2 * BATCH_ROWS
+"""Rows of a sorted run."""
+_PIECE: Final = BATCH_ROWS
 """Most rows that are merged at a time."""
-_CHUNK: Final = 1 << 20
+_STEP: Final = 256
+"""Rows of a batch of what is merged."""
+_FAN_IN: Final = 16
+"""Most runs that are merged at a time: a batch of each is in memory."""
+_GROUP_ROWS: Final = 8192
+"""Rows of a row group of an index file."""
+_SINGLY: Final = 8
+"""Up to so many ids in one batch are looked up one by one; for more, all ids of the batch are read."""
+_CHUNK: Final = 1 << 18
 """Bytes of a file that are hashed at a time."""
+_STREAMED: Final = 1 << 14
+"""Bytes that are read of a column of an index file at a time."""
+_RECENT: Final = 16
+"""Batches of an index whose description is kept: the next unit that is asked for is often in one of them."""
 _REBUILD: Final = "Run condvln rebuild CONFIG, which writes the index again."
 
 
@@ -123,14 +139,14 @@ class IndexWriter:
         self._schema = index_schema(pipeline)
         self._pending: list[dict[str, Any]] = []
         self._run: list[pa.RecordBatch] = []
-        self._runs = Scratch(self._schema)
+        self._runs = _Runs(self._schema)
 
     def add(self, receipt: Receipt) -> None:
         """Add one finished unit."""
         self._pending.append(_row(receipt))
         if len(self._pending) >= _BATCH:
             self._flush()
-            if len(self._run) * _BATCH >= BATCH_ROWS:
+            if len(self._run) * _BATCH >= _RUN_ROWS:
                 self._end_run()
 
     def _flush(self) -> None:
@@ -139,37 +155,119 @@ class IndexWriter:
         self._pending.clear()
 
     def _end_run(self) -> None:
-        self._runs.write(_sorted(self._run))
+        whole = _joined(self._run)
         self._run.clear()
+        order = pc.sort_indices(whole.column("unit_id"))
+        self._runs.add(whole.take(order.slice(start, _STEP)) for start in range(0, len(order), _STEP))
 
-    def finish(self, carried: pa.Table | None, kept: npt.NDArray[np.bool_] | None = None) -> pa.Table:
+    def finish(self, carried: BatchedTable | None, kept: Flags | None = None) -> BatchedTable:
         """Return one table, sorted by unit id, of all added units and the rows of ``carried``, which are taken over
         from an older index.
 
-        kept : (rows of ``carried``,) which of its rows are taken over; all by default
+        kept : for each row of ``carried`` whether it is taken over; all are by default
         """
         if self._pending:
             self._flush()
         if self._run:
             self._end_run()
-        runs = [iter([run]) for run in self._runs.table().to_batches()]
+        runs = self._runs
+        while len(runs) > _FAN_IN:
+            fewer = _Runs(self._schema)
+            streams = runs.streams()
+            while some := [*islice(streams, _FAN_IN)]:
+                fewer.add(_regrouped(_merged(some), _STEP))
+            runs = fewer
+        last = [*runs.streams()]
         if carried is not None:
-            runs.append(_carried(carried, kept, self._schema))
+            last.append(_carried(carried, kept, self._schema))
         whole = Scratch(self._schema)
-        held: list[pa.RecordBatch] = []
-        rows = 0
-        for piece in _merged(runs):
-            held.append(piece)
-            rows += piece.num_rows
-            while rows >= BATCH_ROWS:
-                joined = _joined(held)
-                whole.write(joined.slice(0, BATCH_ROWS))
-                held = [joined.slice(BATCH_ROWS)]
-                rows -= BATCH_ROWS
-            let_go()
-        if rows:
-            whole.write(_joined(held))
+        for batch in _regrouped(_merged(last), BATCH_ROWS):
+            whole.write(batch)
         return whole.table()
+
+
+class _Runs:
+    """Sorted runs on disk."""
+
+    def __init__(self, schema: pa.Schema) -> None:
+        self._scratch = Scratch(schema)
+        self._ends: list[int] = []
+        """Where each run ends, in batches."""
+
+    def __len__(self) -> int:
+        return len(self._ends)
+
+    def add(self, run: Iterable[pa.RecordBatch]) -> None:
+        """Add a run."""
+        for batch in run:
+            self._scratch.write(batch)
+        self._ends.append(len(self._scratch))
+
+    def streams(self) -> Iterator[Iterator[pa.RecordBatch]]:
+        """Yield the batches of each run; nothing can be added after that."""
+        table = self._scratch.table()
+        for begin, end in pairwise([0, *self._ends]):
+            yield map(table.batch, range(begin, end))
+
+
+def _regrouped(pieces: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of all pieces in batches of `size` rows; what was read of mapped tables is let go on the way."""
+    held: list[pa.RecordBatch] = []
+    rows = 0
+    for piece in pieces:
+        held.append(piece)
+        rows += piece.num_rows
+        if rows >= size:
+            joined = _joined(held)
+            held.clear()
+            cut = rows - rows % size
+            for start in range(0, cut, size):
+                yield joined.slice(start, size)
+            rows -= cut
+            # Taken, since a slice would hold the whole.
+            held = [joined.take(pa.array(np.arange(cut, cut + rows)))] if rows else []
+        let_go()
+    if rows:
+        yield _joined(held)
+
+
+class _LettingGo:
+    """A file that is written; what was read of mapped tables is let go each time, which is once for each column."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.closed = False
+
+    def write(self, data: Any) -> int:
+        let_go()
+        return self._file.write(data)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def flush(self) -> None:
+        self._file.flush()
+
+
+def _write(file: Any, rows: BatchedTable) -> None:
+    with pq.ParquetWriter(file, rows.schema, compression="zstd", compression_level=1) as writer:
+        for group in _groups(rows):
+            writer.write_table(group, row_group_size=_GROUP_ROWS)
+        if not rows.num_rows:
+            writer.write_table(rows.schema.empty_table())
+
+
+def _groups(rows: BatchedTable) -> Iterator[pa.Table]:
+    """Yield all rows in tables of ``_GROUP_ROWS`` rows, which are not copied."""
+    held = rows.schema.empty_table()
+    for number in range(len(rows)):
+        held = pa.concat_tables([held, pa.table(rows.batch(number))])
+        while held.num_rows >= _GROUP_ROWS:
+            yield held.slice(0, _GROUP_ROWS)
+            held = held.slice(_GROUP_ROWS)
+            let_go()
+    if held.num_rows:
+        yield held
 
 
 def _joined(parts: Sequence[pa.RecordBatch]) -> pa.RecordBatch:
@@ -182,7 +280,7 @@ def _sorted(parts: Sequence[pa.RecordBatch]) -> pa.RecordBatch:
     return whole.take(pc.sort_indices(whole.column("unit_id")))
 
 
-def _carried(table: pa.Table, kept: npt.NDArray[np.bool_] | None, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+def _carried(table: BatchedTable, kept: Flags | None, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for start, batch in batches(table):
         rows = batch if kept is None else batch.filter(pa.array(kept[start : start + batch.num_rows]))
         yield _conformed(rows, schema)
@@ -253,7 +351,7 @@ def _conformed(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
     return pa.record_batch(columns, schema=schema)
 
 
-def failed_keys(index: pa.Table) -> set[tuple[str, str]]:
+def failed_keys(index: BatchedTable) -> set[tuple[str, str]]:
     """Return (stage, key) of the quarantined units of an index."""
     found = set()
     for _, batch in batches(index, ["status", "failure.stage", "failure.key"]):
@@ -287,16 +385,20 @@ def _readable(path: str) -> Iterator[None]:
 
 
 class Index:
-    """An index: its table, which stands in a temporary file where it is long, and single units by id.
+    """An index: its rows by unit id, which stand in a temporary file where they are many, and single units by id.
 
     damaged : it stands in for one that is missing or damaged
     """
 
-    def __init__(self, table: pa.Table, *, damaged: bool = False) -> None:
-        self.table = table
+    def __init__(self, rows: BatchedTable | pa.Table, *, damaged: bool = False) -> None:
+        self.rows = rows if isinstance(rows, BatchedTable) else BatchedTable.of(rows)
         self.damaged = damaged
-        self._batches = table.to_batches(max_chunksize=BATCH_ROWS)
-        self._starts = np.cumsum([0, *(batch.num_rows for batch in self._batches)])
+        self._recent: dict[int, pa.RecordBatch] = {}
+
+    @property
+    def table(self) -> pa.Table:
+        """Return all rows as one table."""
+        return self.rows.whole()
 
     @classmethod
     def empty(cls, pipeline: Pipeline, *, damaged: bool = False) -> Index:
@@ -319,8 +421,8 @@ class Index:
         with file, _readable(path):
             if _hash_of(file) != hash_:
                 raise CorruptShardError("the unit index differs from its hash", where=path, remedy=_REBUILD)
-            # A buffer would hold the file as a whole by its end.
-            parquet = pq.ParquetFile(file, pre_buffer=False)
+            # Buffered in advance, the file would be held as a whole by its end.
+            parquet = pq.ParquetFile(file, pre_buffer=False, buffer_size=_STREAMED)
             if not set(_UNIT_FIELDS) <= set(parquet.schema_arrow.names):
                 raise CorruptShardError("the unit index is of another version", where=path, remedy=_REBUILD)
             scratch, last = Scratch(parquet.schema_arrow), None
@@ -328,75 +430,69 @@ class Index:
             for batch in parquet.iter_batches(BATCH_ROWS, use_threads=False):
                 last = _checked(batch, last, path)
                 scratch.write(batch)
+                del batch  # while the next one is decoded
+            del parquet
+            let_go()
         return cls(scratch.table())
 
     @staticmethod
-    def write(store: Store, table: pa.Table) -> str:
+    def write(store: Store, rows: BatchedTable) -> str:
         """Write an index; return the hash that names it."""
         with tempfile.TemporaryFile() as file:
-            with (
-                temporary_space(),
-                pq.ParquetWriter(file, table.schema, compression="zstd", compression_level=1) as writer,
-            ):
-                for _, batch in batches(table):
-                    writer.write_table(pa.Table.from_batches([batch]), row_group_size=BATCH_ROWS)
-                if not table.num_rows:
-                    writer.write_table(table)
             with temporary_space():
+                _write(_LettingGo(file), rows)
+                let_go()
                 found = _hash_of(file)
             # Not create(): one of this name that is damaged must not stay.
             store.write(Index.path(found), file)
         return found
 
     def __len__(self) -> int:
-        return int(self.table.num_rows)
+        return self.rows.num_rows
 
     @cached_property
-    def _ranked(self) -> npt.NDArray[np.uint64]:
-        """The first bits of each id's hash, and its row in the others, in order: eight bytes a unit."""
-        ranked = np.empty(len(self), np.uint64)
-        for start, batch in batches(self.table, ["unit_id"]):
-            ranked[start : start + batch.num_rows] = id_hashes(batch.column(0).to_pylist())
-        ranked &= ~self._row_bits
-        ranked |= np.arange(len(self), dtype=np.uint64)
-        ranked.sort()
-        return ranked
-
-    @property
-    def _row_bits(self) -> np.uint64:
-        return np.uint64((1 << len(self).bit_length()) - 1)
+    def _firsts(self) -> list[str]:
+        """The first id of each batch."""
+        return [batch.column(0)[0].as_py() for _, batch in batches(self.rows, ["unit_id"])]
 
     def rows_of(self, unit_ids: Sequence[str]) -> npt.NDArray[np.int64]:
         """Return the row number of each unit id, as (n,) int64; -1 for ids that are not in the index."""
-        rows = np.full(len(unit_ids), -1, np.int64)
-        if not len(self):
-            return rows
-        wanted = id_hashes(unit_ids) & ~self._row_bits
-        place = np.searchsorted(self._ranked, wanted)
-        asked = np.arange(len(unit_ids))
-        while True:
-            # Hashes may fall together; a wrong row must never be taken for the right one.
-            asked = asked[place[asked] < len(self)]
-            found = self._ranked[place[asked]]
-            alike = (found & ~self._row_bits) == wanted[asked]
-            asked, found = asked[alike], (found[alike] & self._row_bits).astype(np.int64)
-            if not len(asked):
-                return rows
-            ids = self.take(found, ["unit_id"]).column(0).to_pylist()
-            same = np.array([unit_ids[at] == unit_id for at, unit_id in zip(asked.tolist(), ids, strict=True)])
-            rows[asked[same]] = found[same]
-            asked = asked[~same]
-            place[asked] += 1
+        rows = [-1] * len(unit_ids)
+        if len(self):
+            there: dict[int, list[int]] = {}
+            for at, unit_id in enumerate(unit_ids):
+                there.setdefault(bisect_right(self._firsts, unit_id) - 1, []).append(at)
+            there.pop(-1, None)
+            for number, places in there.items():
+                for at, row in zip(places, self._rows_in(number, [unit_ids[at] for at in places]), strict=True):
+                    rows[at] = row
+        return np.array(rows, np.int64)
+
+    def _rows_in(self, number: int, unit_ids: Sequence[str]) -> list[int]:
+        """Return the row number of each unit id in a batch, -1 for those that are not in it."""
+        start = int(self.rows.starts[number])
+        column = self.rows.batch(number, ["unit_id"]).column(0)
+        found = []
+        if len(unit_ids) <= _SINGLY:
+            for unit_id in unit_ids:
+                at = bisect_left(range(len(column)), unit_id, key=lambda row: column[row].as_py())
+                found.append(start + at if at < len(column) and column[at].as_py() == unit_id else -1)
+            return found
+        ids = column.to_pylist()
+        for unit_id in unit_ids:
+            at = bisect_left(ids, unit_id)
+            found.append(start + at if at < len(ids) and ids[at] == unit_id else -1)
+        return found
 
     def take(self, rows: npt.NDArray[np.int64], columns: Sequence[str]) -> pa.Table:
         """Return some columns of the given rows, in their order."""
         order = np.argsort(rows, kind="stable")
         ranked = rows[order]
-        cuts = np.searchsorted(ranked, self._starts)
-        parts = [self.table.schema.empty_table().select(list(columns)).combine_chunks()]
+        cuts = np.searchsorted(ranked, self.rows.starts)
+        parts = [self.rows.schema.empty_table().select(list(columns)).combine_chunks()]
         for at in np.flatnonzero(np.diff(cuts)).tolist():
-            there = pa.array(ranked[cuts[at] : cuts[at + 1]] - self._starts[at])
-            parts.append(pa.table(self._batches[at].select(list(columns)).take(there)))
+            there = pa.array(ranked[cuts[at] : cuts[at + 1]] - self.rows.starts[at])
+            parts.append(pa.table(self.rows.batch(at, columns).take(there)))
         back = np.empty_like(order)
         back[order] = np.arange(len(order))
         return pa.concat_tables(parts).combine_chunks().take(pa.array(back))
@@ -408,11 +504,16 @@ class Index:
 
     @cached_property
     def _names(self) -> frozenset[str]:
-        return frozenset(self.table.column_names)
+        return frozenset(self.rows.schema.names)
 
     def _place(self, row: int) -> tuple[pa.RecordBatch, int]:
-        number = int(np.searchsorted(self._starts, row, "right")) - 1
-        return self._batches[number], row - int(self._starts[number])
+        number = int(np.searchsorted(self.rows.starts, row, "right")) - 1
+        batch = self._recent.get(number)
+        if batch is None:
+            if len(self._recent) >= _RECENT:
+                self._recent.clear()
+            batch = self._recent[number] = self.rows.batch(number)
+        return batch, row - int(self.rows.starts[number])
 
     def receipt(self, row: int, pipeline: Pipeline) -> Receipt:
         """Return the receipt of the unit in ``row``. Stages that are no longer in ``pipeline`` are left out."""

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factory.commits import UNIT_FILE, Commits
+from factory.flags import Flags
 from factory.index import Index
 from factory.scratch import batches
 from factory.snapshot import manifest_path, read_manifest, read_ref
@@ -26,11 +27,14 @@ from factory.temporary import close_files, temporary_space
 
 __all__ = ["Inventory", "glance", "missing_parts"]
 
-_BATCH: Final = 8192
+_BATCH: Final = 2048
 """Number of folders that are compared with the index at a time."""
 
-SHARES: Final = 16
+SHARES: Final = 64
 """Number of shares into which keys are divided to be compared."""
+
+_UNWRITTEN: Final = 1 << 13
+"""Bytes of a share up to which it never touches the disk."""
 
 _ROW: Final = [("high", "<u8"), ("low", "<u8"), ("row", "<i8"), ("stored", "<i8")]
 _FOLDER: Final = [("high", "<u8"), ("low", "<u8"), ("bytes", "<i8")]
@@ -45,33 +49,33 @@ class Inventory:
 
     On disk it takes one listing of each unit's folder, on an object store one request for a thousand files.
 
-    whole : (rows of the index,) whether every stage of the unit is there with the bytes it was committed with
+    whole : for each row of the index whether every stage of the unit is there with the bytes it was committed with
     """
 
     def __init__(self, commits: Commits, index: Index) -> None:
-        self._lost: dict[str, npt.NDArray[np.bool_]] = {}
-        self.whole = np.ones(len(index), dtype=bool)
+        self._lost: dict[str, Flags] = {}
+        self.whole = Flags(len(index), True)
         if not len(index):
             return
-        for name in index.table.column_names:
+        for name in index.rows.schema.names:
             stage, _, last = name.rpartition(".")
             if last == "key" and stage != "failure":
                 self._lost[stage] = _lost(commits, index, stage)
-                self.whole &= ~self._lost[stage]
+                self.whole.without(self._lost[stage])
 
     def lost(self, stage: str, row: int) -> bool:
         """Whether files that this stage made for the unit in ``row`` are missing or truncated."""
-        return stage in self._lost and bool(self._lost[stage][row])
+        return stage in self._lost and self._lost[stage][row]
 
 
-def _lost(commits: Commits, index: Index, stage: str) -> npt.NDArray[np.bool_]:
-    """Return for each row of ``index``, as (rows,) bool, whether any file that the stage made for the row's unit is
-    missing or truncated.
+def _lost(commits: Commits, index: Index, stage: str) -> Flags:
+    """Return for each row of ``index`` whether any file that the stage made for the row's unit is missing or
+    truncated.
     """
-    lost = np.zeros(len(index), dtype=bool)
+    lost = Flags(len(index))
     rows, folders = _Shares(_ROW), _Shares(_FOLDER)
-    sizes = [name for name in (f"{stage}.stored",) if name in index.table.column_names]
-    for start, batch in batches(index.table, [f"{stage}.key", *sizes]):
+    sizes = [name for name in (f"{stage}.stored",) if name in index.rows.schema.names]
+    for start, batch in batches(index.rows, [f"{stage}.key", *sizes]):
         column = batch.column(0)
         made = np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False))
         raw = np.frombuffer(column.buffers()[1], ">u8", count=2 * len(column), offset=16 * column.offset)
@@ -110,7 +114,7 @@ class _Shares:
         self._dtype = np.dtype(dtype)
         self._files: list[Any] = []
         for _ in range(SHARES):
-            self._files.append(tempfile.SpooledTemporaryFile(max_size=1 << 17))  # noqa: SIM115 - closed with this object
+            self._files.append(tempfile.SpooledTemporaryFile(max_size=_UNWRITTEN))  # noqa: SIM115 - closed with this object
             weakref.finalize(self, close_files, self._files[-1])
         self._count = 0
 

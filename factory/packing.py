@@ -52,7 +52,7 @@ READERS: Final = 16
 SHARES: Final = 16
 """Number of shares in which the members of many buckets stand on disk."""
 
-_BATCH: Final = 8192
+_BATCH: Final = 2048
 
 
 class Members:

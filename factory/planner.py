@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
@@ -15,6 +14,7 @@ import pyarrow.compute as pc
 from factory.chain import Chain, SharedTables, receipt_of
 from factory.commits import Commits
 from factory.costs import CostModel
+from factory.flags import Flags
 from factory.index import STATUSES, Index, id_hashes
 from factory.inventory import Inventory
 from factory.key import Keyer, StageKey
@@ -22,12 +22,13 @@ from factory.pipeline import Pipeline, plain_name
 from factory.plan import PlanEntry, Reason, StagePlan, UnitPlan
 from factory.receipt import Receipt, StageReceipt
 from factory.scratch import batches, let_go
+from factory.sorting import SortedNumbers
 from factory.unit import Unit, Work
 from schemas.errors import CondVLNError, CorruptShardError, InputError, StageError, UsageError
 
 __all__ = ["Planner"]
 
-_BATCH: Final = 2048
+_BATCH: Final = 512
 """Number of units that are compared at a time."""
 
 
@@ -69,23 +70,23 @@ class Planner:
         self._quarantined = quarantined
         self._again = again
         self._inventory = inventory
-        self._statuses = np.zeros(len(index), dtype=np.int8)
-        for start, batch in batches(index.table, ["status"]):
-            codes = pc.index_in(batch.column(0), value_set=pa.array(STATUSES))
-            self._statuses[start : start + batch.num_rows] = codes.to_numpy()
+        self._incomplete = Flags(len(index))
+        for start, batch in batches(index.rows, ["status"]):
+            other = pc.not_equal(batch.column(0), STATUSES[0]).to_numpy(zero_copy_only=False)
+            self._incomplete[start + np.flatnonzero(other)] = True
         self._model = CostModel(index, pipeline)
         self._probes = 0
         self._listed: frozenset[tuple[str, str]] | None = None
-        self._new = array("Q")
+        self._new = SortedNumbers()
         """Hashes of the ids that are not in the index."""
         self._all_fresh: tuple[tuple[str, StagePlan], ...] = tuple((stage.name, "FRESH") for stage in pipeline.stages)
         self.seconds_behind = 0.0
         """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` yielded."""
-        self.kept = np.zeros(len(index), dtype=bool)
-        """(rows of the index,) bool: the unit is unchanged, and its row is kept."""
-        self._only_damaged = np.zeros(len(index), dtype=bool)
-        self.present = np.zeros(len(index), dtype=bool)
-        """(rows of the index,) bool: the unit is still in the corpus."""
+        self.kept = Flags(len(index))
+        """For each row of the index whether the unit is unchanged, and its row is kept."""
+        self._only_damaged = Flags(len(index))
+        self.present = Flags(len(index))
+        """For each row of the index whether the unit is still in the corpus."""
 
     def compare(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, bytes, int, bool]]:
         """For each unit, yield (unit, fingerprint, row, unchanged). ``row`` is the unit's position in the index, or -1
@@ -102,9 +103,7 @@ class Planner:
             known = rows[rows >= 0]
             twice = twice or len(np.unique(known)) < len(known) or bool(self.present[known].any())
             self.present[known] = True
-            self._new.frombytes(
-                id_hashes([unit.unit_id for unit, row in zip(batch, rows, strict=True) if row < 0]).tobytes()
-            )
+            self._new.add(id_hashes([unit.unit_id for unit, row in zip(batch, rows, strict=True) if row < 0]))
             published = iter(self.index.take(known, ["fingerprint"]).column(0).to_pylist())
             let_go()
             for unit, row in zip(batch, rows.tolist(), strict=True):
@@ -117,10 +116,13 @@ class Planner:
                 if fresh:
                     self.kept[row] = True
                 yield checked, fingerprint, row, fresh
-        new = np.frombuffer(self._new, np.uint64)
-        self._new = array("Q")  # lasts as long as `new` does
-        new.sort()
-        if twice or (new[1:] == new[:-1]).any():
+        new, self._new = self._new, SortedNumbers()
+        last = np.empty(0, np.uint64)
+        for piece in new:
+            joined = np.concatenate((last, piece))
+            twice = twice or bool((joined[1:] == joined[:-1]).any())
+            last = piece[-1:]
+        if twice:
             raise UsageError("two units of this run have the same id", remedy="Ids must be unique over all sources.")
 
     def _stands(self, row: int) -> bool:
@@ -134,12 +136,11 @@ class Planner:
 
     def status(self, row: int) -> str:
         """Return the published status of the unit in ``row`` of the index."""
-        return STATUSES[self._statuses[row]]
+        return str(self.index.value(row, "status")) if self._incomplete[row] else STATUSES[0]
 
-    def kept_incomplete(self) -> list[int]:
-        """Return the rows of the index that are kept and whose units are skipped or quarantined."""
-        found: list[int] = np.flatnonzero(self.kept & (self._statuses != 0)).tolist()
-        return found
+    def kept_incomplete(self) -> Iterator[int]:
+        """Yield the rows of the index that are kept and whose units are skipped or quarantined."""
+        return self.kept.both(self._incomplete)
 
     def _fingerprint(self, unit: Unit) -> tuple[Unit, bytes]:
         if unit.fault is None:
@@ -316,7 +317,7 @@ class Planner:
 
         missing : hash of the content → unit id
         """
-        if not missing or "content" not in self.index.table.column_names:
+        if not missing or "content" not in self.index.rows.schema.names:
             return ()
         return tuple(
             (row["unit_id"], missing[row["content"]])
@@ -329,7 +330,7 @@ class Planner:
         return tuple(row["unit_id"] for row in self._gone("unit_id"))
 
     def _gone(self, *columns: str) -> Iterator[dict[str, Any]]:
-        for start, batch in batches(self.index.table, columns):
+        for start, batch in batches(self.index.rows, columns):
             yield from batch.filter(pa.array(~self.present[start : start + batch.num_rows])).to_pylist()
 
 

@@ -7,8 +7,6 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
-import pyarrow as pa
-
 from factory import machine
 from factory.chain import SharedTables
 from factory.commits import Commits
@@ -21,6 +19,7 @@ from factory.packing import PackJob, in_threads
 from factory.pipeline import Pipeline
 from factory.receipt import Receipt
 from factory.report import Progress, RunReport
+from factory.scratch import BatchedTable
 from factory.seal import sealed
 from factory.snapshot import Composition, damaged_parts, manifest_path, read_manifest, read_ref, ref_path
 from factory.store import Store
@@ -118,7 +117,7 @@ class Publisher:
         return self.old is not None and self.manifest is not None and not self._damaged
 
     def publish(
-        self, index: pa.Table, context: RunContext, report: RunReport, pinned: Mapping[str, PinnedTable]
+        self, index: BatchedTable, context: RunContext, report: RunReport, pinned: Mapping[str, PinnedTable]
     ) -> set[str]:
         """Publish the units of ``index``.
 

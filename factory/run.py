@@ -44,6 +44,7 @@ from factory.queue import WorkSpool, tasks
 from factory.ray_guard import COMMITTED
 from factory.receipt import Receipt
 from factory.report import ABORTED, WITH_QUARANTINE, FailureBudget, Progress, RunReport, Silence
+from factory.scratch import BatchedTable
 from factory.snapshot import read_manifest, read_ref
 from factory.spool import Spool
 from factory.stage import Aggregate
@@ -242,7 +243,7 @@ class _Run:
             damaged = self.publisher.publish(table, self._context(), self.report, pins.pin.tables)
             if not damaged:
                 # What was in quarantine and is no more: corrected, changed or gone.
-                for stage, key in sorted(failed_keys(self.index.table) - failed_keys(table)):
+                for stage, key in sorted(failed_keys(self.index.rows) - failed_keys(table)):
                     self.commits.release(stage, key)
                 return
             self.progress.note(f"committed files of {len(damaged)} units are damaged: they are rebuilt")
@@ -282,7 +283,7 @@ class _Run:
                     self.progress.note(f"{error}: this commit and others like it are rebuilt")
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
 
-    def _pass(self, units: Iterable[Unit], again: frozenset[str], made: int) -> pa.Table | None:
+    def _pass(self, units: Iterable[Unit], again: frozenset[str], made: int) -> BatchedTable | None:
         """Run one pass over ``units``; return the new index, or None when nothing changed. Units in ``again`` are
         processed in any case.
 
@@ -302,9 +303,9 @@ class _Run:
         )
         writer = IndexWriter(self.pipeline)
         with WorkSpool(planner.work(units)) as spool:
-            kept = int(planner.kept.sum())
+            kept = planner.kept.count()
             report.counts["fresh"] = kept
-            report.counts["removed"] = int((~planner.present).sum())
+            report.counts["removed"] = len(planner.present) - planner.present.count()
             report.counts["total"] = len(spool) + kept
             for receipt in self.index.receipts(planner.kept_incomplete(), self.pipeline):
                 self._count(receipt, worked=False)
@@ -316,7 +317,7 @@ class _Run:
                 return None
             for receipt in self._work(spool, len(self.pipeline.stages), "units"):
                 writer.add(receipt)
-        return writer.finish(self.index.table, planner.kept)
+        return writer.finish(self.index.rows, planner.kept)
 
     def _index_holds(self) -> bool:
         return not self.index.damaged and len(self.index) > 0

@@ -25,8 +25,9 @@ from factory.packing import Members, PackJob, bucket_count, buckets, content_of,
 from factory.pipeline import Pipeline, plain_name
 from factory.receipt import StageReceipt
 from factory.rows import parquet_table, schema_hash
-from factory.scratch import batches, let_go
+from factory.scratch import BatchedTable, batches
 from factory.seal import unsealed
+from factory.stage import Stage
 from factory.store import Store, token_of
 from schemas.canonical import JSON, digest
 from schemas.errors import CorruptShardError, StoreError, UsageError
@@ -52,17 +53,17 @@ class Composition:
     """
 
     pipeline: Pipeline
-    index: pa.Table
+    index: BatchedTable
     sizes: Mapping[tuple[str, str], int]
     hashes: Mapping[tuple[str, str], str]
     snapshot_id: str
 
     @classmethod
-    def of(cls, pipeline: Pipeline, index: pa.Table) -> Composition:
+    def of(cls, pipeline: Pipeline, index: BatchedTable) -> Composition:
         """Compose a snapshot of ``pipeline`` from a unit index that is sorted by unit id."""
         states: dict[str, dict[str, Any]] = {name: {} for name in sorted(pipeline.tables)}
         sizes: Counter[tuple[str, str]] = Counter()
-        for batch, here, partition in _partitions(index, index.column_names):
+        for batch, here, partition in _partitions(index, index.schema.names):
             for name, known in states.items():
                 members = _members(batch, here, name, pipeline.tables[name].stages)
                 hash_members(known.setdefault(partition, hashlib.sha256()), members)
@@ -127,8 +128,12 @@ class Composition:
                 partitions=partitions,
             )
         status: Counter[str] = Counter()
-        for _, batch in batches(self.index, ["status"]):
-            status.update({item["values"]: item["counts"] for item in pc.value_counts(batch.column(0)).to_pylist()})
+        sums: dict[str, Counter[str]] = {stage.name: Counter() for stage in self.pipeline.stages}
+        for _, batch in batches(self.index):
+            counted = pc.value_counts(batch.column("status")).to_pylist()
+            status.update({item["values"]: item["counts"] for item in counted})
+            for stage in self.pipeline.stages:
+                _add(sums[stage.name], batch, stage)
         return SnapshotManifest(
             snapshot_id=self.snapshot_id,
             pipeline=self.pipeline.name,
@@ -136,29 +141,38 @@ class Composition:
             units=dict(status),
             aggregates=dict(aggregates),
             shared=dict(shared),
-            stages={stage.name: self._totals(at) for at, stage in enumerate(self.pipeline.stages)},
+            stages={stage.name: _totals(stage, sums[stage.name]) for stage in self.pipeline.stages},
             provenance=dict(provenance),
         )
 
-    def _totals(self, at: int) -> StageTotals:
-        stage = self.pipeline.stages[at]
 
-        def total(name: str) -> Any:
-            let_go()
-            return pc.sum(self.index.column(f"{stage.name}{name}")).as_py() or 0
+def _add(sums: Counter[str], batch: pa.RecordBatch, stage: Stage) -> None:
+    """Add what a batch of an index says of a stage."""
 
-        return StageTotals(
-            version=stage.version,
-            units=pc.count(self.index.column(f"{stage.name}.key")).as_py(),
-            skipped=total(".skipped"),
-            seconds=round(float(total(".seconds")), 3),
-            peak_rss=pc.max(self.index.column(f"{stage.name}.peak_rss")).as_py() or 0,
-            rows=sum(total(f"/{table}.rows") for table in stage.tables),
-            bytes=sum(total(f"/{table}.bytes") for table in stage.tables),
-        )
+    def total(name: str) -> Any:
+        return pc.sum(batch.column(f"{stage.name}{name}")).as_py() or 0
+
+    sums["units"] += pc.count(batch.column(f"{stage.name}.key")).as_py()
+    sums["skipped"] += total(".skipped")
+    sums["seconds"] += total(".seconds")
+    sums["peak_rss"] = max(sums["peak_rss"], pc.max(batch.column(f"{stage.name}.peak_rss")).as_py() or 0)
+    sums["rows"] += sum(total(f"/{table}.rows") for table in stage.tables)
+    sums["bytes"] += sum(total(f"/{table}.bytes") for table in stage.tables)
 
 
-def _partitions(index: pa.Table, columns: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Array, str]]:
+def _totals(stage: Stage, sums: Counter[str]) -> StageTotals:
+    return StageTotals(
+        version=stage.version,
+        units=sums["units"],
+        skipped=sums["skipped"],
+        seconds=round(float(sums["seconds"]), 3),
+        peak_rss=sums["peak_rss"],
+        rows=sums["rows"],
+        bytes=sums["bytes"],
+    )
+
+
+def _partitions(index: BatchedTable, columns: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Array, str]]:
     """Go through an index; yield (some rows, mask of those that are of a partition and not quarantined, partition)."""
     for _, batch in batches(index, columns):
         done = pc.not_equal(batch.column("status"), "quarantined")

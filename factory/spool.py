@@ -33,7 +33,7 @@ class Spool(Generic[T]):
 
     def __init__(self, items: Iterable[T] = ()) -> None:
         # Small spools never touch the disk.
-        self._file: Any = tempfile.SpooledTemporaryFile(max_size=1 << 20)  # noqa: SIM115 - closed by close()
+        self._file: Any = tempfile.SpooledTemporaryFile(max_size=1 << 18)  # noqa: SIM115 - closed by close()
         # Where each item ends.
         self._ends: Any = tempfile.SpooledTemporaryFile(max_size=1 << 16)  # noqa: SIM115 - closed by close()
         # What was appended last, and is not in the files yet.

@@ -104,7 +104,7 @@ def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterat
     except CorruptShardError as error:
         yield f"{error.where}: {error.what}"
     else:
-        lost = int((~Inventory(commits, index).whole).sum())
+        lost = len(index) - Inventory(commits, index).whole.count()
         if lost:
             yield f"{store.url}/units: files of {lost} scenes are missing or cut"
     if manifest is not None:

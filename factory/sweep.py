@@ -16,11 +16,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-import pyarrow as pa
 from pydantic import ValidationError
 
 from factory.index import Index, failed_keys
 from factory.local_store import LocalStore
+from factory.scratch import BatchedTable, batches
 from factory.snapshot import manifest_path, read_manifest, read_ref
 from factory.store import Entry, Store
 from schemas.errors import CorruptShardError
@@ -126,7 +126,7 @@ def _live(store: Store, keep: int) -> _Live:
     unreadable = []
     for state in states:
         try:
-            index = Index.read(store, state.index).table
+            index = Index.read(store, state.index).rows
             units |= {*_keys(index)}
             quarantine |= failed_keys(index)
         except CorruptShardError:
@@ -161,12 +161,13 @@ def _latest(store: Store, kind: str) -> frozenset[str]:
     return frozenset(sorted(entry.path.split("/")[1] for entry in store.list(kind))[-RUNS_KEPT:])
 
 
-def _keys(index: pa.Table) -> Iterator[tuple[str, str]]:
-    for name in index.column_names:
+def _keys(index: BatchedTable) -> Iterator[tuple[str, str]]:
+    for name in index.schema.names:
         stage, _, last = name.rpartition(".")
         if last == "key" and stage != "failure":
-            for key in index.column(name).drop_null().to_pylist():
-                yield stage, key.hex()
+            for _, batch in batches(index, [name]):
+                for key in batch.column(0).drop_null().to_pylist():
+                    yield stage, key.hex()
 
 
 def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[Entry]]]:

@@ -29,12 +29,13 @@ import factory.index as index_module
 import factory.scratch as scratch_module
 from factory import FileHashes, LocalStore, Snapshot, hash_file, run
 from factory.commits import Commits
+from factory.flags import Flags
 from factory.index import Index, IndexWriter, index_schema
 from factory.packing import Members, buckets
 from factory.planner import Planner
 from factory.queue import TASK_UNITS, Queue, WorkSpool
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
-from factory.scratch import Scratch, batches, let_go
+from factory.scratch import BatchedTable, Scratch, batches, let_go
 from factory.spool import Spool
 from factory.unit import Work
 from schemas.errors import CorruptShardError, MissingFileError, StoreError
@@ -94,13 +95,19 @@ def test_an_index_on_disk_is_the_one_in_memory(rows: int, drawn: list[tuple[str,
         for module in (index_module, scratch_module):
             patch.setattr(module, "BATCH_ROWS", rows)
         patch.setattr(index_module, "_BATCH", 3)
+        patch.setattr(index_module, "_RUN_ROWS", 2 * rows)
+        patch.setattr(index_module, "_STEP", max(rows // 3, 1))
+        patch.setattr(index_module, "_FAN_IN", 2)
+        patch.setattr(index_module, "_SINGLY", 2)
         patch.setattr(index_module, "_PIECE", max(rows // 4, 1))
         before = IndexWriter(pipeline)
         for item, what in whole.values():
             if what != "new":
                 before.add(item)
         old = before.finish(None)
-        kept = np.array([whole[unit_id][1] == "kept" for unit_id in old.column("unit_id").to_pylist()], dtype=bool)
+        kept = Flags(old.num_rows)
+        for row, unit_id in enumerate(old.whole().column("unit_id").to_pylist()):
+            kept[row] = whole[unit_id][1] == "kept"
         after = IndexWriter(pipeline)
         for item, what in whole.values():
             if what == "new":
@@ -118,8 +125,7 @@ def test_an_index_on_disk_is_the_one_in_memory(rows: int, drawn: list[tuple[str,
         assert [index.value(int(row), "unit_id") for row in back] == [r.unit_id for r in expected[::-1]]
 
 
-def test_ids_whose_hashes_fall_together_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(index_module, "id_hashes", lambda unit_ids: np.full(len(unit_ids), 7 << 60, np.uint64))
+def test_ids_that_are_not_there_are_told_from_their_neighbours() -> None:
     writer = IndexWriter(toys.pipeline())
     for tail in range(9):
         writer.add(receipt(f"a/{tail}", tail))
@@ -133,7 +139,8 @@ def test_an_index_of_row_groups_of_another_size_is_read(store: LocalStore, monke
     snapshot = Snapshot.open(store)
     whole = snapshot.index().table
     for module in (index_module, scratch_module):
-        monkeypatch.setattr(module, "BATCH_ROWS", 6)
+        monkeypatch.setattr(module, "BATCH_ROWS", 4)
+    monkeypatch.setattr(index_module, "_GROUP_ROWS", 6)
     assert snapshot.index().table.equals(whole)
     # Nothing changed, so nothing is published; a changed unit gives an index of row groups of the new size.
     assert not run(toys.pipeline(), units, store).published
@@ -154,7 +161,7 @@ def test_what_a_scratch_holds_lasts_as_long_as_its_table(monkeypatch: pytest.Mon
     found = scratch.table()
     del scratch
     let_go()
-    assert found.equals(whole)
+    assert found.whole().equals(whole)
     assert [start for start, _ in batches(found)] == [*range(0, 30, 4)]
     # A mapped table takes none of Arrow's memory.
     before = pa.total_allocated_bytes()
@@ -184,7 +191,7 @@ def test_an_index_survives_a_stage_that_is_new(store: LocalStore) -> None:
     run(toys.pipeline(), toys.units(4), store)
     old = Snapshot.open(store).index()
     longer = replace(toys.pipeline(), stages=(toys.Count(), toys.Square(), toys.Word(name="sentence")), tables={})
-    merged = IndexWriter(longer).finish(old.table)
+    merged = IndexWriter(longer).finish(old.rows)
     assert merged.schema == index_schema(longer)
     assert merged.num_rows == 4
     assert [s.stage for s in Index(merged).receipt(0, longer).stages] == ["count", "square"]
@@ -262,8 +269,8 @@ def test_a_foreign_index_that_cannot_be_merged_is_refused(
     for unit_id, status in units:
         writer = IndexWriter(toys.pipeline())
         writer.add(replace(receipt(unit_id, 1), status=status))  # type: ignore[arg-type]
-        tables.append(writer.finish(None))
-    name = Index.write(store, pa.concat_tables(tables))
+        tables.append(writer.finish(None).whole())
+    name = Index.write(store, BatchedTable.of(pa.concat_tables(tables)))
     with pytest.raises(CorruptShardError, match=what):
         Index.read(store, name)
 
