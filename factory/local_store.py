@@ -18,6 +18,8 @@ from schemas.errors import PathEscapeError, PublishConflictError, StoreError
 __all__ = ["LocalStore"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
+_CHUNK = 1 << 18
+"""Bytes of a file that are copied at a time."""
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
 """Errors of file systems without hard links (FAT, many network mounts)."""
 
@@ -185,7 +187,7 @@ class LocalStore:
             with handle:
                 if hasattr(data, "read"):
                     data.seek(0)
-                    shutil.copyfileobj(data, handle, 1 << 20)
+                    shutil.copyfileobj(data, handle, _CHUNK)
                 else:
                     handle.write(data)
                 handle.flush()
