@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 from factory.flags import Flags
 from factory.pipeline import Pipeline
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
-from factory.scratch import BATCH_ROWS, BatchedTable, Scratch, batches, let_go
+from factory.scratch import BATCH_ROWS, BatchedTable, Scratch, batches, let_go, let_pages_go
 from factory.store import Store
 from factory.temporary import temporary_space
 from schemas.errors import CorruptShardError, StoreError
@@ -239,7 +239,7 @@ class _LettingGo:
         self.closed = False
 
     def write(self, data: Any) -> int:
-        let_go()
+        let_pages_go()
         return self._file.write(data)
 
     def tell(self) -> int:

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from factory.temporary import close_files, temporary_space
 
-__all__ = ["BATCH_ROWS", "BatchedTable", "Scratch", "batches", "let_go"]
+__all__ = ["BATCH_ROWS", "BatchedTable", "Scratch", "batches", "let_go", "let_pages_go"]
 
 BATCH_ROWS: Final = 2048
 """Most rows of a batch: some 0.5 to 3 MB of a unit index."""
@@ -101,7 +101,7 @@ class Scratch:
                 for held in self._held:
                     self._writer.write_batch(held)
             self._held.clear()
-            let_go()
+            let_pages_go()
 
     def table(self) -> BatchedTable:
         """Return the whole table; nothing can be written after that. Its file lasts as long as the table."""
@@ -130,6 +130,11 @@ def let_go() -> None:
     comes from the system's cache of files.
     """
     pa.default_memory_pool().release_unused()
+    let_pages_go()
+
+
+def let_pages_go() -> None:
+    """Give the memory of all mapped tables back to the system."""
     if hasattr(mmap, "MADV_DONTNEED"):
         for mapped in list(_mapped):
             mapped.madvise(mmap.MADV_DONTNEED)

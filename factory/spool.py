@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import struct
 import tempfile
 import weakref
 from array import array
@@ -20,6 +21,9 @@ Self = TypeVar("Self", bound="Spool[Any]")
 
 _AT_ONCE: Final = 256
 """Number of items that are read at a time where all are wanted."""
+
+_PLACE: Final = struct.Struct("=QQ")
+"""Where an item begins and ends."""
 
 _BUFFER: Final = 1 << 16
 """Bytes that are written at a time."""
@@ -70,7 +74,14 @@ class Spool(Generic[T]):
     def __getitem__(self, at: int) -> T:
         if not 0 <= at < self._count:
             raise IndexError(at)
-        return next(self._read(at, at + 1))
+        if self._data:
+            self._flush()
+        with temporary_space():  # seeking writes what is buffered
+            self._ends.seek(8 * (at - 1) if at else 0)
+            start, end = _PLACE.unpack(self._ends.read(16) if at else bytes(8) + self._ends.read(8))
+            self._file.seek(start)
+            item: T = pickle.loads(self._file.read(end - start))
+        return item
 
     def __iter__(self) -> Iterator[T]:
         for at in range(0, self._count, _AT_ONCE):
