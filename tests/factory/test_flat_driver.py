@@ -21,8 +21,8 @@ from factory.snapshot import read_ref
 FEW, MANY = 1000, 5000
 
 BYTES_A_UNIT: Final = 10
-"""Most growth for each unit. 2 to 6 are measured: the first id of each batch, since batches are a sixteenth as long here,
-what grows with the changed units, and chance. A cost and a place in the queue would be 12, an index of hashes 8."""
+"""Most growth for each unit. 2 to 6 are measured: the first id of each batch, since batches are a sixteenth as long
+here, what grows with the changed units, and chance. The queue in memory would take 12, an index of hashes 8."""
 
 SMALL: Final = {
     (scratch, "BATCH_ROWS"): 128,
