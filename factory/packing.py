@@ -172,8 +172,8 @@ def hash_members(state: Any, members: pa.Table) -> None:
 
 
 def content_of(spec: TableSpec, members: Members) -> tuple[str, int]:
-    """Return (128-bit hash of everything that a part's bytes depend on, except versions of libraries; canonical bytes
-    of its rows).
+    """Return (128-bit hash of everything that a part's bytes depend on, except versions of libraries and of this code;
+    canonical bytes of its rows).
     """
     settings = [schema_hash(spec.schema), *spec.sort_keys, str(ROW_GROUP_ROWS), str(ZSTD_LEVEL)]
     state = hashlib.sha256(bytes.fromhex(digest(settings)))
