@@ -385,7 +385,7 @@ def _readable(path: str) -> Iterator[None]:
 
 
 class Index:
-    """An index: its rows by unit id, which stand in a temporary file where they are many, and single units by id.
+    """The rows of an index, sorted by unit id, and the lookup of single units. Many rows stand in a temporary file.
 
     damaged : it stands in for one that is missing or damaged
     """

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from factory.rows import (
     _hash_of_arrays,
     _plan,
     canonical_table,
+    concatenated,
     logical_hash,
     parquet_bytes,
     parquet_table,
@@ -176,6 +178,45 @@ def test_equal_tables_give_equal_files_and_damage_is_named() -> None:
     assert one == two
     with pytest.raises(CorruptShardError, match=r"x\.parquet"):
         parquet_table(one[:-9], "x.parquet")
+
+
+def test_a_unit_stored_in_several_chunks_gives_the_file_of_one() -> None:
+    # So long that the columns have several pages: those of several chunks end at other rows.
+    spec = TableSpec(pa.schema([pa.field("k", pa.int64(), nullable=False), pa.field("s", pa.string())]), ("k",), "s")
+    letters = np.random.default_rng(3).integers(97, 123, (5000, 400), dtype=np.uint8)
+    whole = pa.table({"k": range(5000), "s": [own.tobytes().decode() for own in letters]}, schema=spec.schema)
+    units = [whole.slice(0, 2000), whole.slice(2000)]
+    stored = [units[0], pa.concat_tables([units[1].slice(0, 700), units[1].slice(700)])]
+    one, two = (parquet_bytes(concatenated(iter(tables), spec, "t")).to_pybytes() for tables in (units, stored))
+    assert one == two
+
+
+@pytest.mark.parametrize("name", [*sorted(TABLES), "made"])
+def test_all_columns_of_text_and_no_others_have_dictionaries(name: str) -> None:
+    schema = TABLES.get(name, SCHEMA)
+    data = parquet_bytes(pa.Table.from_pylist([_filled(schema)] * 2, schema=schema))
+    group = pq.ParquetFile(pa.BufferReader(data)).metadata.row_group(0)
+    columns = [group.column(k) for k in range(group.num_columns)]
+    text = {c.path_in_schema for c in columns if c.has_dictionary_page}
+    leaves = pq.ParquetFile(pa.BufferReader(data)).schema
+    assert text == {
+        leaves.column(k).path for k in range(len(columns)) if str(leaves.column(k).logical_type) == "String"
+    }
+
+
+def _filled(kind: pa.Schema | pa.DataType) -> Any:
+    """Return a value of a type in which nothing is null or empty."""
+    if isinstance(kind, pa.Schema) or pa.types.is_struct(kind):
+        return {field.name: _filled(field.type) for field in kind}
+    if pa.types.is_fixed_size_list(kind):
+        return [_filled(kind.value_type)] * kind.list_size
+    if pa.types.is_list(kind):
+        return [_filled(kind.value_type)]
+    if pa.types.is_string(kind):
+        return "a"
+    if pa.types.is_fixed_size_binary(kind) or pa.types.is_binary(kind):
+        return b"a" * (kind.byte_width if pa.types.is_fixed_size_binary(kind) else 1)
+    return pa.scalar(0, pa.int64()).cast(kind).as_py()
 
 
 def test_the_schema_hash_sees_names_types_and_nullability() -> None:
