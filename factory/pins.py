@@ -20,6 +20,7 @@ from factory.receipt import Receipt
 from factory.rows import logical_hash, parquet_bytes, parquet_table
 from factory.seal import sealed, unsealed
 from factory.stage import Aggregate
+from factory.temporary import temporary_space
 from schemas.canonical import digest
 from schemas.errors import CorruptShardError, StoreError
 from schemas.snapshot import Pin, PinnedTable, SnapshotManifest
@@ -180,7 +181,8 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
     """Build ``aggregate`` over units in the order of their ids. Return (table, number of units).
 
     A unit counts when the stage was made for it and it has not failed. Raises ``CorruptShardError`` when a unit's
-    committed table is damaged; it is removed, and making that unit again helps.
+    committed table is damaged; it is removed, and making that unit again helps. Raises ``StoreError`` when there is no
+    space left for temporary files.
     """
     count = 0
 
@@ -190,7 +192,8 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
             count += 1
             yield found
 
-    table = aggregate.build(counted())
+    with temporary_space():
+        table = aggregate.build(counted())
     return table.replace_schema_metadata(None).combine_chunks(), count
 
 

@@ -23,6 +23,7 @@ from factory.dispatch import Job
 from factory.preload import Preload
 from factory.worker_template import NAME_BYTES
 from schemas.errors import ClusterError, WorkerError
+from schemas.standard_files import open_standard_files
 
 __all__ = ["REMEDY", "Processes", "WorkerProcess"]
 
@@ -88,7 +89,7 @@ class Processes:
         self._began: dict[int, int] = {}
         self._names = itertools.count(1)
         self.numbers = itertools.count(1)
-        _open_standard_files()
+        open_standard_files()
         ours, theirs = socket.socketpair()
         path = [entry for entry in sys.path if isinstance(entry, str)]
         told = json.dumps([theirs.fileno(), path, preload.module, preload.function, preload.arguments])
@@ -234,17 +235,6 @@ def _how(status: tuple[int, int] | None) -> str:
         return f"was ended by signal {signal.Signals(number).name}"
     except ValueError:  # a real-time signal
         return f"was ended by signal {number}"
-
-
-def _open_standard_files() -> None:
-    """Open what a caller has closed of standard input, output and errors: other files would get these numbers, and be
-    replaced in the template.
-    """
-    for number in (0, 1, 2):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
 
 
 def _last_words(log: bytes) -> str:

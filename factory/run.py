@@ -22,9 +22,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-import pyarrow as pa
-import pyarrow.compute as pc
-
 from factory.commits import Commits
 from factory.context import RunContext
 from factory.deadline import terminable
@@ -51,6 +48,7 @@ from factory.stage import Aggregate
 from factory.store import Store
 from factory.unit import Unit
 from schemas.errors import ClusterError, CorruptShardError, FailureBudgetError, StoreError
+from schemas.standard_files import open_standard_files
 
 __all__ = ["plan", "run"]
 
@@ -133,6 +131,7 @@ def run(
     ``StoreError`` when the store refuses (what was committed stays), ``KeyboardInterrupt`` on Ctrl-C and on SIGTERM.
     """
     exempt_what_is_loaded()
+    open_standard_files()
     with terminable() as stop:
         return _Run(
             pipeline=pipeline,
@@ -262,26 +261,31 @@ class _Run:
         for _ in range(_REPAIRS):
             self._begin()
             planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, stages=until)
-            with WorkSpool(planner.work(units)) as spool, Spool[Receipt]() as receipts:
+            writer = IndexWriter(self.pipeline)
+            with WorkSpool(planner.work(units)) as spool:
                 if planner.seconds_behind:
                     self.progress.note(
                         f"a first pass builds {', '.join(a.name for a in due)}; after it, about "
                         f"{planner.seconds_behind:.0f} CPU s of work remain"
                     )
                 for receipt in self._work(spool, until, f"first pass, for {', '.join(a.name for a in due)}"):
-                    receipts.append(receipt)
-                order = pc.sort_indices(pa.array((receipt.unit_id for receipt in receipts), pa.string())).to_pylist()
-                try:
-                    for aggregate in due:
-                        table, count = build_aggregate(aggregate, self.commits, (receipts[at] for at in order))
-                        renew = aggregate.name in self.renew
-                        self.shared[aggregate.name] = pins.set(aggregate, table, count, renew=renew)
-                    return
-                except CorruptShardError as error:
-                    for aggregate in due:
-                        discard_damaged(aggregate, self.commits, (receipts[at] for at in order))
-                    self.progress.note(f"{error}: this commit and others like it are rebuilt")
+                    writer.add(receipt)
+            # By it the receipts are read in the order of their units' ids.
+            index = Index(writer.finish(None))
+            try:
+                for aggregate in due:
+                    table, count = build_aggregate(aggregate, self.commits, self._receipts(index))
+                    renew = aggregate.name in self.renew
+                    self.shared[aggregate.name] = pins.set(aggregate, table, count, renew=renew)
+                return
+            except CorruptShardError as error:
+                for aggregate in due:
+                    discard_damaged(aggregate, self.commits, self._receipts(index))
+                self.progress.note(f"{error}: this commit and others like it are rebuilt")
         raise StoreError("committed files keep getting damaged", where=self.store.url, remedy="Check the disk.")
+
+    def _receipts(self, index: Index) -> Iterator[Receipt]:
+        return index.receipts(range(len(index)), self.pipeline)
 
     def _pass(self, units: Iterable[Unit], again: frozenset[str], made: int) -> BatchedTable | None:
         """Run one pass over ``units``; return the new index, or None when nothing changed. Units in ``again`` are

@@ -16,13 +16,13 @@ true occurrences are multiplied and those of its false ones divided.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL_MASS", "ExpectedDraws", "coins", "rounded_octaves"]
+__all__ = ["FULL_MASS", "ExpectedDraws", "coins", "fitted_octaves", "rounded_octaves"]
 
 FULL_MASS: Final = 0.3
 """Total weight of the statements of a group, of the truth that has less, from which on the group is used as often as
@@ -51,16 +51,16 @@ Ints = NDArray[np.integer[Any]]
 
 
 class ExpectedDraws:
-    """The expected draws of statements in the rooms of many scenes.
+    """The expected draws of statements in the rooms of some scenes.
 
     Parameters
     ----------
-    own, truth, scene, weights, form (n,) : of each occurrence of a statement with one truth in one room: the number of
-        the statement, its truth (0 or 1), its scene, its weight without factors, and the form that it has in this room
-        (a predicate, definite or not)
+    own, weights, form (n,) : of each occurrence of a statement with one truth in one room: 2 × the number of the
+        statement + its truth (0 or 1), its weight without factors, and the form that it has in this room (a predicate,
+        definite or not)
     group_of_form (f,) : group of predicates in the room to which a form belongs. Statements of presence are a group and
         a form of their own
-    room_of_group (g,) : room of a group
+    room_of_group (g,), scene_of_room (r,) : room of a group, and scene of a room
     group_weights (g,), room_weights (r,) : how often a group is used in its room, and a room in its scene
     presence (g,) : how often conditions about the room are of presence, if the group is that; else 0
     """
@@ -68,81 +68,36 @@ class ExpectedDraws:
     def __init__(
         self,
         own: Ints,
-        truth: Ints,
-        scene: Ints,
         weights: F64,
         *,
-        form: I64,
-        group_of_form: I64,
-        room_of_group: I64,
+        form: Ints,
+        group_of_form: Ints,
+        room_of_group: Ints,
+        scene_of_room: Ints,
         group_weights: F64,
         presence: F64,
         room_weights: F64,
     ) -> None:
-        # Half the memory: there are thousands of occurrences a scene.
-        self.own, self.truth, self.weights = own.astype(np.int32), truth.astype(np.int32), weights
-        self._form, self._group_of_form, self._room_of_group = form.astype(np.int32), group_of_form, room_of_group
+        self.own, self.weights = own, weights
+        self._form, self._group_of_form, self._room_of_group = form, group_of_form, room_of_group
+        self._scene_of_room = scene_of_room
         self._group_weights, self._presence, self._room_weights = group_weights, presence, room_weights
-        self.count = int(own.max(initial=-1)) + 1
+
+    def of_scenes(self, drawn: F64) -> tuple[I64, F64]:
+        """Return, for each scene in which a statement occurs, the number of the statement and the excess of its true
+        draws there. `drawn` (n,) are the draws of each occurrence.
+        """
+        scene = self._scene_of_room[self._room_of_group][self._group_of_form][self._form]
         scenes = int(scene.max(initial=0)) + 1
-        places, place = np.unique(own.astype(np.int64) * scenes + scene, return_inverse=True)
-        self._place, self._own_of_place = place.astype(np.int32), places // scenes
-
-    @property
-    def scenes(self) -> I64:
-        """Number of scenes in which each statement occurs."""
-        return np.bincount(self._own_of_place, minlength=self.count)
-
-    def octaves(self, excess: F64, added: float = 0.0) -> F64:
-        """Return the binary logarithm of one factor for each statement.
-
-        Parameters
-        ----------
-        excess (s,) : wanted excess of true draws over false ones, as a share of both, in parts of what a fair coin
-            would make it
-        added : number of scenes, with as many draws each as a statement has on average, that are added to its draws of
-            either truth, so that statements of few scenes are changed less
-        """
-        octaves = np.zeros(self.count)
-        share = excess * self._coin_share()
-        for _ in range(EVENING_ROUNDS):
-            tilt = octaves[self.own]
-            false, true = self._sums(self.expected(self.weights * np.exp2(np.where(self.truth == 1, tilt, -tilt))))
-            total = false + true
-            least = LEAST_SHARE * total + np.finfo(np.float64).tiny
-            more = added * total / np.maximum(self.scenes, 1)
-            wanted_true, wanted_false = (
-                np.maximum(total * (1.0 + sign * share) / 2.0, least) + more for sign in (1, -1)
-            )
-            change = np.sqrt(
-                wanted_true / (np.maximum(true, least) + more) * (np.maximum(false, least) + more) / wanted_false
-            )
-            octaves += np.log2(np.clip(change, 1.0 / MOST_A_ROUND, MOST_A_ROUND))
-        return octaves
-
-    def _coin_share(self) -> F64:
-        """Return √Σ d_k² / Σ |d_k| of each statement, where d_k are its draws in scene k without factors.
-
-        With draws that have factors, statements would aim at what the factors make of them, and most draws would move
-        to a few scenes.
-        """
-        drawn = self.expected(self.weights)
-        excess = np.bincount(self._place, np.where(self.truth == 1, drawn, -drawn), len(self._own_of_place))
-        total = sum(self._sums(drawn))
-        spread = np.sqrt(np.bincount(self._own_of_place, excess**2, self.count))
-        found: F64 = np.divide(spread, total, out=np.ones(self.count), where=total > 0)
-        return np.minimum(found, 1.0)
-
-    def _sums(self, drawn: F64) -> tuple[F64, F64]:
-        """Return the sums of `drawn`, the draws of each occurrence, by statement: of false ones and of true ones."""
-        sums = np.bincount(2 * self.own + self.truth, drawn, 2 * self.count).astype(np.float64).reshape(-1, 2)
-        return sums[:, 0], sums[:, 1]
+        places, place = np.unique((self.own >> 1).astype(np.int64) * scenes + scene, return_inverse=True)
+        excess: F64 = np.bincount(place, np.where(self.own & 1, drawn, -drawn), len(places)).astype(np.float64)
+        return places // scenes, excess
 
     def expected(self, weights: F64) -> F64:
         """Return the expected draws of each occurrence if the occurrences have `weights`, per condition of its scene,
         if true and false conditions are drawn equally often.
         """
-        key = 2 * self._form + self.truth
+        key = 2 * self._form + (self.own & 1)
         sums = np.bincount(key, weights, 2 * len(self._group_of_form)).reshape(-1, 2)
         mass = sums.min(axis=1)  # a form with one truth is not used
         masses = np.bincount(self._group_of_form, mass, len(self._room_of_group))
@@ -162,6 +117,56 @@ class ExpectedDraws:
             weights * (mass * rate[self._group_of_form])[self._form], own, out=np.zeros_like(own), where=own > 0
         )
         return found
+
+
+def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 0.0) -> F64:
+    """Return the binary logarithm of one factor for each statement, (s,).
+
+    Parameters
+    ----------
+    blocks : the draws in all scenes, some scenes in each block; iterated over once a round
+    excess (s,) : wanted excess of true draws over false ones, as a share of both, in parts of what a fair coin
+        would make it
+    added : number of scenes, with as many draws each as a statement has on average, that are added to its draws of
+        either truth, so that statements of few scenes are changed less
+    """
+    octaves = np.zeros(len(excess))
+    coin_share, scenes = _coin_share(blocks, len(excess))
+    share = excess * coin_share
+    for _ in range(EVENING_ROUNDS):
+        factors = np.exp2(np.stack([-octaves, octaves], axis=1)).ravel()
+        drawn = np.zeros(2 * len(octaves))
+        for block in blocks:
+            np.add.at(drawn, block.own, block.expected(block.weights * factors[block.own]))
+        false, true = drawn[0::2], drawn[1::2]
+        total = false + true
+        least = LEAST_SHARE * total + np.finfo(np.float64).tiny
+        more = added * total / np.maximum(scenes, 1)
+        wanted_true, wanted_false = (np.maximum(total * (1.0 + sign * share) / 2.0, least) + more for sign in (1, -1))
+        change = np.sqrt(
+            wanted_true / (np.maximum(true, least) + more) * (np.maximum(false, least) + more) / wanted_false
+        )
+        octaves += np.log2(np.clip(change, 1.0 / MOST_A_ROUND, MOST_A_ROUND))
+    return octaves
+
+
+def _coin_share(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, I64]:
+    """Return √Σ d_k² / Σ |d_k| of each statement, where d_k are its draws in scene k without factors; and the number of
+    scenes in which it occurs. Both (count,).
+
+    With draws that have factors, statements would aim at what the factors make of them, and most draws would move to a
+    few scenes.
+    """
+    drawn, squares, scenes = np.zeros(2 * count), np.zeros(count), np.zeros(count, np.int64)
+    for block in blocks:
+        of_block = block.expected(block.weights)
+        np.add.at(drawn, block.own, of_block)
+        own, excess = block.of_scenes(of_block)
+        np.add.at(squares, own, excess**2)
+        np.add.at(scenes, own, 1)
+    total = drawn[0::2] + drawn[1::2]
+    found: F64 = np.divide(np.sqrt(squares), total, out=np.ones(count), where=total > 0)
+    return np.minimum(found, 1.0), scenes
 
 
 def rounded_octaves(octaves: F64) -> I64:

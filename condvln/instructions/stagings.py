@@ -22,6 +22,7 @@ from condvln.instructions.expected_draws import (
     FACTOR_STEPS,
     ExpectedDraws,
     coins,
+    fitted_octaves,
     rounded_octaves,
 )
 from condvln.instructions.informative import statement_weights
@@ -89,7 +90,8 @@ def even_factors(
     many = len(pc.unique(counts["staging"])) >= MANY_STAGINGS
     layout = counts["layout"][0].as_py()
     sides = usual if many else coins([(layout, *statement) for statement in statements])
-    octaves = np.stack([draws.octaves(part * sides) for part in (COIN_PART if many else FEW_PART)], axis=1)
+    parts = COIN_PART if many else FEW_PART
+    octaves = np.stack([fitted_octaves((draws,), part * sides) for part in parts], axis=1)
     factors = np.exp2(rounded_octaves(octaves) / FACTOR_STEPS).tolist()
     return {statement: ByConditions(*own) for statement, own in zip(statements, factors, strict=True)}
 
@@ -121,13 +123,12 @@ def _draws(
     asked = np.array([presence if name == PRESENCE else 0.0 for name in groups])
     room_of_group = of_each(group, room)
     draws = ExpectedDraws(
-        statement[at],
-        truth,
-        staging.numbers[at],
+        2 * statement[at] + truth,
         seen[truth, at] * np.stack([base[False], base[True]])[truth, statement[at]],
         form=form[at],
         group_of_form=of_each(form, group),
         room_of_group=room_of_group,
+        scene_of_room=of_each(room, staging.numbers),
         group_weights=of_each(group, weights[predicate]),
         presence=of_each(group, asked[predicate]),
         room_weights=np.ones(int(room.max()) + 1),

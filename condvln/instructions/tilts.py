@@ -10,16 +10,18 @@ do not add up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.instructions.array_file import I32, ArrayFile
 from condvln.instructions.expected_draws import (
     ExpectedDraws,
     coins,
+    fitted_octaves,
     rounded_octaves,
 )
 from condvln.instructions.informative import LabelForm, statement_weights
@@ -30,7 +32,6 @@ from condvln.instructions.statement_rows import (
     Statement,
     numbered,
     numbered_statements,
-    of_each,
 )
 from schemas.config import SamplingConfig
 from schemas.program import asked_in
@@ -46,104 +47,61 @@ SCENES_ADDED: Final = 30.0
 those with one truth would never be asked otherwise, and scenes with little to ask would be left with nothing. Eleven
 scans of Gibson give 46 texts with 10 and 50 texts with 30; 1,000 made houses pass the bias gate with either."""
 
-MOST_SCENES: Final = 8192
-"""Number of scenes of a family beyond which every second one is left out, so that the rows that are kept do not grow
-with the corpus: of so many houses of ProcTHOR the fit takes 1.1 GB."""
-
 F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-
-
-class _Read(NamedTuple):
-    """Occurrences (n,) by number of statement, truth, scene and room."""
-
-    own: NDArray[np.int32]
-    truth: NDArray[np.int8]
-    scene: NDArray[np.int32]
-    room: NDArray[np.int32]
 
 
 class SceneRows:
     """The occurrences of statements in the rooms of a family's scenes, collected scene by scene from rows as
-    ``LabelPriors.of_scene`` counts them. A row without a label begins a room.
+    ``LabelPriors.of_scene`` counts them. A row without a label begins a room. They are written to a temporary file,
+    some hundred scenes at a time, so that only the statements themselves are in memory.
     """
 
-    def __init__(self, family: str, directions: str, most_scenes: int = MOST_SCENES) -> None:
-        self._most = most_scenes
-        self._step = 1
-        self._seen = 0
+    def __init__(self, family: str, directions: str) -> None:
         self._asked = {"", *(asked_in(family) & sayable(directions))}
         self._pending: list[pa.Table] = []
-        self._rows = self._scenes = 0
+        self._rows = 0
         self._numbers: dict[Statement, int] = {}
-        self._rooms: list[int] = []
-        self._read: list[_Read] = []
+        self._blocks = ArrayFile(3)
 
     def add(self, rows: pa.Table, most: int) -> None:
-        """Add the rows of one scene, unless it is one of those that are left out. They are kept as they are until there
-        are `most` of them.
-        """
-        self._seen += 1
-        if (self._seen - 1) % self._step:
-            return
+        """Add the rows of one scene. They are kept as they are until there are more than `most` of them."""
         self._pending.append(rows)
         self._rows += rows.num_rows
         if self._rows > most:
-            self.read()
+            self._read()
 
-    def read(self) -> None:
+    def _read(self) -> None:
         """Read the rows that were only kept."""
         if not self._rows:
             self._pending = []
             return
         table = pa.concat_tables(self._pending).combine_chunks()
-        scene = self._scenes + np.repeat(np.arange(len(self._pending)), [one.num_rows for one in self._pending])
-        self._scenes += len(self._pending)
+        scene = np.repeat(np.arange(len(self._pending)), [one.num_rows for one in self._pending])
         self._pending, self._rows = [], 0
         texts = [CodedTexts.of(table[name]) for name in STATEMENT[:-1]]
         _, label, predicate, _ = texts
         begins = label.among({""})
-        room = len(self._rooms) - 1 + np.cumsum(begins)
-        self._rooms += scene[begins].tolist()
+        room = np.cumsum(begins) - 1
         said = np.flatnonzero(~begins & predicate.among(self._asked))
         own, found = numbered_statements(texts, table["definite"].to_numpy(), said)
         known = self._numbers
         own = np.array([known.setdefault(statement, len(known)) for statement in found], np.int64)[own]
-        for truth, name in ((0, "n_false"), (1, "n_true")):
-            at = np.flatnonzero(table[name].to_numpy()[said] > 0)
-            self._read.append(
-                _Read(
-                    own[at].astype(np.int32),
-                    np.full(len(at), truth, np.int8),
-                    scene[said[at]].astype(np.int32),
-                    room[said[at]].astype(np.int32),
-                )
-            )
-        while self._scenes > self._most:
-            self._halve()
-
-    def _halve(self) -> None:
-        """Leave out every second scene."""
-        kept = [_Read(*(column[one.scene % 2 == 0] for column in one)) for one in self._read]
-        scenes = np.array(self._rooms, np.int32)
-        place = np.cumsum(scenes % 2 == 0, dtype=np.int32) - 1
-        self._read = [one._replace(scene=one.scene // 2, room=place[one.room]) for one in kept]
-        self._rooms = (scenes[scenes % 2 == 0] // 2).tolist()
-        self._scenes, self._step = (self._scenes + 1) // 2, 2 * self._step
+        there = [np.flatnonzero(table[name].to_numpy()[said] > 0) for name in ("n_false", "n_true")]
+        at = np.concatenate(there)
+        self._blocks.append(2 * own[at] + np.repeat([0, 1], [*map(len, there)]), room[said[at]], scene[begins])
 
     @property
     def statements(self) -> list[Statement]:
         """The statements by number."""
+        self._read()
         return list(self._numbers)
 
-    def occurrences(self) -> _Read:
-        """Return number of the statement, truth, scene and room of each occurrence."""
-        return _Read(*(np.concatenate(column) for column in zip(*self._read, strict=True)))
-
-    @property
-    def scene_of_room(self) -> I64:
-        """The scene of each room."""
-        return np.array(self._rooms, np.int64)
+    def blocks(self) -> Iterator[tuple[I32, ...]]:
+        """Yield the occurrences in some scenes: 2 × the number of the statement + its truth (n,), the room (n,), and
+        the scene of each room (r,). Rooms and scenes are numbered from 0 in each block.
+        """
+        self._read()
+        yield from self._blocks
 
 
 def tilts(
@@ -161,46 +119,56 @@ def tilts(
         empty, of all rooms of the type
     label_factors : see ``PriorBits.label_weights``
     """
-    rows.read()
     statements = rows.statements
     if not statements:
         return {}
-    own, truth, scene, room = rows.occurrences()
-    weights = _weights(statements, counts, label_factors, sampling)[truth, own]
-    present = np.array([not predicate for _, _, predicate, _, _ in statements], bool)
-    scene_of_room = rows.scene_of_room
-    alone = np.bincount(scene_of_room)[scene] == 1
-    kept = (weights > 0) & ~(present[own] & alone)  # of a single room, absence is claimed by the labels of other scenes
-    own, truth, scene, room, weights = own[kept], truth[kept], scene[kept], room[kept], weights[kept]
-    del kept
-    if not len(own):
-        return {}
-    groups = {name: k for k, name in enumerate(PREDICATE_GROUPS)}
-    of_predicate: dict[str, int] = {name: groups[group] for name, group in GROUP_OF.items()}
-    of_predicate[""] = len(groups)
-    group_of = np.array([of_predicate[p] for _, _, p, _, _ in statements], np.int64)
-    forms = {form: k for k, form in enumerate(dict.fromkeys((p, definite) for _, _, p, _, definite in statements))}
-    form_of = np.array([forms[p, definite] for _, _, p, _, definite in statements], np.int64)
-    form, first = numbered(room, form_of[own])
-    group, _ = numbered(room, group_of[own])
-    said = np.array([*(getattr(sampling.predicates, name) for name in groups), 0.0])
-    asked = np.where(present, sampling.label_only(single_room=False), 0.0)
-    room_of_group = of_each(group, room)
-    draws = ExpectedDraws(
-        own,
-        truth,
-        scene,
-        weights,
-        form=form,
-        group_of_form=group[first],
-        room_of_group=room_of_group,
-        group_weights=of_each(group, said[group_of[own]]),
-        presence=of_each(group, asked[own]),
-        room_weights=1.0 / np.bincount(scene_of_room)[scene_of_room],
-    )
-    octaves = draws.octaves(COIN_PART * coins(statements)[: draws.count], SCENES_ADDED)
-    steps = rounded_octaves(octaves)
+    draws = _Draws(rows, _weights(statements, counts, label_factors, sampling), sampling)
+    steps = rounded_octaves(fitted_octaves(draws, COIN_PART * coins(statements), SCENES_ADDED))
     return {statements[k]: int(steps[k]) for k in np.flatnonzero(steps).tolist()}
+
+
+class _Draws:
+    """The expected draws in all scenes, in blocks of scenes, which are read from a temporary file.
+
+    weights (2, s) : of each statement, where it is false and where it is true
+    """
+
+    def __init__(self, rows: SceneRows, weights: F64, sampling: SamplingConfig) -> None:
+        statements = rows.statements
+        self._weights = weights.T.ravel()
+        self._said = np.array([*(getattr(sampling.predicates, name) for name in PREDICATE_GROUPS), 0.0])
+        self._asked = np.zeros(len(self._said))
+        self._asked[-1] = sampling.label_only(single_room=False)
+        self._file = ArrayFile(6)
+        groups = {name: k for k, name in enumerate(PREDICATE_GROUPS)}
+        of_predicate: dict[str, int] = {name: groups[group] for name, group in GROUP_OF.items()}
+        of_predicate[""] = len(groups)
+        kind_of = np.array([of_predicate[p] for _, _, p, _, _ in statements], np.int64)
+        forms = {form: k for k, form in enumerate(dict.fromkeys((p, definite) for _, _, p, _, definite in statements))}
+        form_of = np.array([forms[p, definite] for _, _, p, _, definite in statements], np.int64)
+        for own, room, scene_of_room in rows.blocks():
+            alone = np.bincount(scene_of_room)[scene_of_room][room] == 1
+            # Of a single room, absence is claimed by the labels of other scenes.
+            kept = (self._weights[own] > 0) & ~((kind_of[own >> 1] == len(groups)) & alone)
+            own, room = own[kept], room[kept]
+            kind = kind_of[own >> 1]
+            form, first = numbered(room, form_of[own >> 1])
+            group, begins = numbered(room, kind)
+            self._file.append(own, form, group[first], room[begins], scene_of_room, kind[begins])
+
+    def __iter__(self) -> Iterator[ExpectedDraws]:
+        for own, form, group_of_form, room_of_group, scene_of_room, kind in self._file:
+            yield ExpectedDraws(
+                own,
+                self._weights[own],
+                form=form,
+                group_of_form=group_of_form,
+                room_of_group=room_of_group,
+                scene_of_room=scene_of_room,
+                group_weights=self._said[kind],
+                presence=self._asked[kind],
+                room_weights=1.0 / np.bincount(scene_of_room)[scene_of_room],
+            )
 
 
 def _weights(

@@ -22,6 +22,7 @@ from jobs.command import (
 )
 from jobs.command.options import EXIT_CODES
 from schemas.errors import CondVLNError
+from schemas.standard_files import open_standard_files
 
 __all__ = ["app", "main"]
 
@@ -68,6 +69,7 @@ CLICK_USAGE: Final = 2
 
 def main() -> None:
     """Entry point. CondVLN's errors, and system errors that name a file, become one message and an exit code."""
+    open_standard_files()
     try:
         app()
     except CondVLNError as error:

@@ -11,7 +11,7 @@ import sqlite3
 import tempfile
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -32,6 +32,7 @@ from factory.commits import Commits
 from factory.flags import Flags
 from factory.index import Index, IndexWriter, index_schema
 from factory.packing import Members, buckets
+from factory.pins import build_aggregate
 from factory.planner import Planner
 from factory.queue import TASK_UNITS, Queue, WorkSpool
 from factory.receipt import Failure, Receipt, StageReceipt, TableReceipt
@@ -294,8 +295,21 @@ def scratched() -> None:
     scratch.table()
 
 
+class Writing(toys.Total):
+    """An aggregate that writes a temporary file."""
+
+    def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
+        with tempfile.TemporaryFile() as file:
+            file.write(b"x" * (1 << 20))
+        return pa.table({"total": [0]})
+
+
+def aggregated() -> None:
+    build_aggregate(Writing(), Commits(LocalStore(tempfile.gettempdir())), [])
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-@pytest.mark.parametrize("write", [spooled, scratched], ids=["spool", "scratch"])
+@pytest.mark.parametrize("write", [spooled, scratched, aggregated], ids=["spool", "scratch", "aggregate"])
 def test_a_full_temporary_disk_is_named(
     write: Callable[[], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

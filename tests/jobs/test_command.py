@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 from typer.testing import CliRunner
 
+from condvln.samples import make_samples
+from factory import LocalStore, Snapshot
 from factory.ray_executor import RayExecutor
 from jobs.command import app, main
 from jobs.configuration import load_config
 from jobs.reference import FILE, command_paths, reference
 from jobs.report import Report
 from schemas.config import Config
+from schemas.program import CATEGORIES
 
 runner = CliRunner()
 
@@ -28,6 +34,26 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
         text=True,
         check=False,
     )
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes files in the shell")
+@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_files_cost_nothing(tmp_path: Path, closed: str) -> None:
+    """Those of a job that was started without a terminal may be closed; no other file must take their numbers."""
+    make_samples(tmp_path / "data", family="replicacad", scenes=3, seed=0)
+    config = {
+        "name": "closed",
+        "store": str(tmp_path / "store"),
+        "export": str(tmp_path / "export"),
+        "sources": [{"family": "replicacad", "root": str(tmp_path / "data")}],
+        "instructions": {"per_category": dict.fromkeys(CATEGORIES, 2)},
+        "ray": {"workers": 2},
+    }
+    (tmp_path / "c.yaml").write_text(yaml.safe_dump(config))
+    code = "from jobs.command import main; main()"
+    command = shlex.join([sys.executable, "-c", code, "generate", str(tmp_path / "c.yaml")])
+    assert subprocess.run(["sh", "-c", f"exec {command} {closed}"], check=False).returncode == 0
+    assert Snapshot.open(LocalStore(tmp_path / "store"), "closed").manifest.tables["episodes"].rows
 
 
 @pytest.mark.parametrize("path", command_paths(), ids=" ".join)

@@ -84,7 +84,8 @@ TECHNICAL = {
         "MOST_OCTAVES",
     },
     "instructions/stagings.py": {"MANY_STAGINGS"},
-    "instructions/tilts.py": {"COIN_PART", "MOST_SCENES", "SCENES_ADDED"},
+    "instructions/array_file.py": {"IN_MEMORY"},
+    "instructions/tilts.py": {"COIN_PART", "SCENES_ADDED"},
     # Voices of the text: wordings that mean the same, and where a sentence is split.
     "instructions/renderer.py": {
         "CHECK_SHARE",

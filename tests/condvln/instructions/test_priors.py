@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import random
+import tracemalloc
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,14 +14,14 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 
-from condvln.instructions import LabelPriors
+from condvln.instructions import LabelPriors, array_file, priors
 from condvln.instructions.informative import informative_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.priors import PRIORS
 from condvln.instructions.referents import Referents
 from condvln.instructions.statement_counts import StatementCounts
 from condvln.instructions.statements import statement_truths
-from condvln.instructions.tilts import SceneRows
+from condvln.instructions.tilts import SceneRows, tilts
 from condvln.labels import vocabulary
 from condvln.labels.confusion import also_called
 from condvln.relations import relate_room, text_facts
@@ -280,28 +282,39 @@ def test_factors_are_of_a_family_and_kept_in_the_table(make_scene) -> None:
     assert not elsewhere.bits(scenes[0], 0.05).even
 
 
-@pytest.mark.parametrize(("number", "step"), [(8, 1), (9, 2), (16, 2), (17, 4), (23, 4)])
-def test_of_very_many_scenes_every_second_one_is_left_out(make_scene, number: int, step: int) -> None:
-    rows = [counted(make_scene(700 + k, ("kitchen", "bedroom"), 5)).rows() for k in range(number)]
-    few, some = SceneRows("made", "compass", most_scenes=8), SceneRows("made", "compass")
-    for k, one in enumerate(rows):
-        few.add(one, 0)  # read at once
-        if k % step == 0:
-            some.add(one, 0)
+def test_factors_do_not_depend_on_how_many_scenes_are_read_at_once(make_scene, monkeypatch) -> None:
+    counts = [counted(make_scene(700 + k, ("kitchen", "bedroom"), 5)).rows() for k in range(23)]
+    counts.insert(7, PRIORS.empty_table())  # a scene without rooms
+    summed = StatementCounts(LabelPriors.merged(map(LabelPriors.from_table, counts)).table()).all()
+    found = []
+    for most in (1, 600, 10**9):
+        monkeypatch.setattr(array_file, "IN_MEMORY", most)
+        rows = SceneRows("made", "compass")
+        for one in counts:
+            rows.add(one, most)
+        found.append((len([*rows.blocks()]), tilts(rows, summed, {}, SamplingConfig())))
+    assert found[0][0] > found[1][0] > found[2][0] == 1
+    assert found[0][1] == found[1][1] == found[2][1]
+    assert len(found[0][1]) > 20
 
-    at_once = SceneRows("made", "compass", most_scenes=8)
-    for one in rows:
-        at_once.add(one, 10**9)
-    at_once.read()
 
-    def found(read: SceneRows) -> set[tuple[object, ...]]:
-        rooms = read.scene_of_room
-        columns = [column.tolist() for column in read.occurrences()]
-        assert rooms[columns[3]].tolist() == columns[2]
-        return {(read.statements[own], *rest) for own, *rest in zip(*columns, strict=True)}
+def test_the_fit_holds_no_more_for_more_scenes(make_scene, monkeypatch) -> None:
+    counts = [counted(make_scene(700 + k, ("kitchen", "bedroom"), 5)) for k in range(20)]
+    monkeypatch.setattr(priors, "MERGE_ROWS", 2000)
+    monkeypatch.setattr(array_file, "IN_MEMORY", 1 << 12)
 
-    assert found(few) == found(some) == found(at_once)
-    assert few.scene_of_room.tolist() == some.scene_of_room.tolist()
+    def peak(number: int) -> int:
+        gc.collect()
+        tracemalloc.start()
+        try:
+            assert LabelPriors.of_corpus((("made", counts[k % 20]) for k in range(number)), SamplingConfig())
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(20)
+    grown = [peak(number) for number in (200, 600)]
+    assert grown[1] - grown[0] < 400 * 100, grown
 
 
 def test_presence_in_a_single_room_has_no_factor(make_scene) -> None:
