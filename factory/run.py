@@ -18,7 +18,8 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -114,7 +115,7 @@ def run(
     part_bytes: int = PART_BYTES,
     faults: str = "",
 ) -> RunReport:
-    """Bring ``ref`` up to date with ``units``.
+    """Bring ``ref`` up to date with ``units``, which are kept on disk if they are no collection.
 
     executor : who does the work; this process by default
     budget : quarantined units that stop the run (a count, or a share of all units); no limit by default
@@ -201,10 +202,10 @@ class _Run:
         self.inventory = Inventory(self.commits, self.index)
         try:
             with (
-                Spool(units) as spool,
+                nullcontext(units) if isinstance(units, Collection) else Spool(units) as listed,
                 Heartbeat(self.executor.busy, self._busy),
             ):
-                self._bring_up_to_date(spool, pins)
+                self._bring_up_to_date(listed, pins)
             if self.report.counts["quarantined"]:
                 self.report.exit_code = WITH_QUARANTINE
         except FailureBudgetError as error:
@@ -227,7 +228,7 @@ class _Run:
     def _busy(self, unit: Busy) -> None:
         self.progress.busy(unit, busy_message(unit, self.deadline))
 
-    def _bring_up_to_date(self, units: Spool[Unit], pins: Pins) -> None:
+    def _bring_up_to_date(self, units: Iterable[Unit], pins: Pins) -> None:
         waiting = [a for a in self.pipeline.aggregates if a.name not in self.shared]
         for position in sorted({self.pipeline.position(a.after) for a in waiting}):
             due = [a for a in waiting if self.pipeline.position(a.after) == position]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
@@ -82,7 +82,7 @@ def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
 
 def bring_up_to_date(
     config: Config,
-    units: list[Unit],
+    units: Collection[Unit],
     *,
     inline: bool = False,
     retry_quarantined: bool = False,

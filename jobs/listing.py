@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import orjson
 
 from factory.unit import InputFile, Unit
-from jobs.pipeline import list_units
+from factory.unit_list import UnitList
+from jobs.pipeline import units_of
 from jobs.watch import code_digest, look
 from jobs.workspace import file_hashes, hasher, local_state, source_paths
 from schemas.canonical import digest
@@ -21,9 +22,12 @@ from schemas.config import Config
 
 __all__ = ["listed_units"]
 
+FILES: Final = 1 << 16
+"""Number of input files that are written once for all scenes; further ones are repeated in each scene."""
 
-def listed_units(config: Config) -> list[Unit]:
-    """List units as ``list_units`` does, from the cache if no file below the sources' folders changed."""
+
+def listed_units(config: Config) -> UnitList:
+    """List units as ``units_of`` does, from the cache if no file below the sources' folders changed."""
     path = local_state(config.store) / f".listing-{config.name}.json"
     files, settled = look(source_paths(config))
     document = config.model_dump(mode="json", exclude={"store", "export", "splits", "ray", "keep"})
@@ -33,45 +37,68 @@ def listed_units(config: Config) -> list[Unit]:
         if known is not None:
             return known
     hashes = file_hashes(config)
-    units = list_units(config, hasher(hashes))
+    units = units_of(config, hasher(hashes))
     hashes.save()
-    if settled and all(unit.fault is None for unit in units):
+    if settled and not units.faulty:
         _write(path, inputs, units)
     return units
 
 
-def _read(path: Path, inputs: str) -> list[Unit] | None:
+def _read(path: Path, inputs: str) -> UnitList | None:
     try:
-        document: dict[str, Any] = orjson.loads(path.read_bytes())
-        if document["inputs"] != inputs:
-            return None
-        files = [InputFile(*file) for file in document["files"]]
-        return [
-            Unit(unit_id, partition, tuple(files[at] for at in inputs), payload, costs, memory)
-            for unit_id, partition, inputs, payload, costs, memory in document["units"]
-        ]
+        with path.open("rb") as lines:
+            head = orjson.loads(next(lines, b""))
+            if head["inputs"] != inputs:
+                return None
+            units = UnitList(map(_Files().read, lines))
+        return units if len(units) == head["units"] else None
     except (OSError, ValueError, KeyError, TypeError, IndexError):
         return None  # it is only a memory
 
 
-def _write(path: Path, inputs: str, units: list[Unit]) -> None:
-    numbers: dict[InputFile, int] = {}
-    rows = [
-        (
-            unit.unit_id,
-            unit.partition,
-            [numbers.setdefault(file, len(numbers)) for file in unit.inputs],
-            unit.payload,
-            unit.costs,
-            unit.memory,
-        )
-        for unit in units
-    ]
-    files = [(file.path, file.size, file.sha256) for file in numbers]
+def _write(path: Path, inputs: str, units: UnitList) -> None:
     temporary = path.with_suffix(".tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(orjson.dumps({"inputs": inputs, "files": files, "units": rows}))
+        with temporary.open("wb") as lines:
+            lines.write(orjson.dumps({"inputs": inputs, "units": len(units)}) + b"\n")
+            lines.writelines(map(_Files().line, units))
         os.replace(temporary, path)
     except (OSError, TypeError):
         temporary.unlink(missing_ok=True)
+
+
+class _Files:
+    """The input files of the lines so far, up to ``FILES``. A line holds the number of a file that was there before,
+    and else the file itself: scenes share most of theirs.
+    """
+
+    def __init__(self) -> None:
+        self._known: list[InputFile] = []
+        self._numbers: dict[InputFile, int] = {}
+
+    def line(self, unit: Unit) -> bytes:
+        """Return a unit as a line of JSON."""
+        files = [*map(self._written, unit.inputs)]
+        return orjson.dumps([unit.unit_id, unit.partition, files, unit.payload, unit.costs, unit.memory]) + b"\n"
+
+    def _written(self, file: InputFile) -> int | tuple[str, int, str]:
+        number = self._numbers.get(file)
+        if number is not None:
+            return number
+        if len(self._numbers) < FILES:
+            self._numbers[file] = len(self._numbers)
+        return file.path, file.size, file.sha256
+
+    def read(self, line: bytes) -> Unit:
+        """Return the unit of a line. Raises some error where it is none."""
+        unit_id, partition, files, payload, costs, memory = orjson.loads(line)
+        return Unit(unit_id, partition, tuple(map(self._read, files)), payload, costs, memory)
+
+    def _read(self, written: int | list[Any]) -> InputFile:
+        if isinstance(written, int):
+            return self._known[written]
+        file = InputFile(*written)
+        if len(self._known) < FILES:
+            self._known.append(file)
+        return file

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Iterator
 from typing import Any, Final
 
 from condvln.export.rows import Row
@@ -15,6 +15,7 @@ from condvln.sources.source import HashFile, Source
 from factory.pipeline import Pipeline, TableSpec
 from factory.snapshot import Snapshot
 from factory.unit import InputFile, Unit
+from factory.unit_list import UnitList
 from jobs.costs import stage_costs
 from jobs.stages import (
     CountStage,
@@ -30,7 +31,15 @@ from schemas.config.constants import GROUP_SIZE
 from schemas.errors import ConfigError
 from schemas.tables import SORT_KEYS, TABLES
 
-__all__ = ["build_pipeline", "built_navmeshes", "code_versions", "list_units", "open_configured", "scene_payload"]
+__all__ = [
+    "build_pipeline",
+    "built_navmeshes",
+    "code_versions",
+    "list_units",
+    "open_configured",
+    "scene_payload",
+    "units_of",
+]
 
 BYTES_BASE: Final = 300 * 2**20
 """Memory of a worker before it reads a scene, bytes: interpreter, numpy, Arrow, compiled kernels."""
@@ -117,30 +126,35 @@ def scene_payload(source: SourceConfig, scene_id: str) -> dict[str, Any]:
 
 
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
-    """List all scenes of all sources as units. A scene that can't be listed becomes a unit that holds the error."""
-    units = []
+    """List all scenes of all sources as units, by id. One that can't be listed becomes a unit that holds the error."""
+    return [*units_of(config, hash_file)]
+
+
+def units_of(config: Config, hash_file: HashFile) -> UnitList:
+    """Return what ``list_units`` does, on disk."""
+    units = UnitList(_each_unit(config, hash_file))
+    if units.twice:
+        raise ConfigError(
+            f"scene {units.twice} comes from two sources",
+            remedy="Keep one of them, or separate them with 'scenes' and 'exclude'.",
+        )
+    return units
+
+
+def _each_unit(config: Config, hash_file: HashFile) -> Iterator[Unit]:
     wanted = config.instructions
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
-        for handle in open_configured(config, source, hash_file).handles():
-            units.append(
-                Unit(
-                    unit_id=f"{handle.family}/{handle.scene_id}",
-                    partition=handle.family,
-                    inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
-                    payload=scene_payload(source, handle.scene_id),
-                    costs={} if handle.fault else stage_costs(handle.family, handle.counts, asked),
-                    memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
-                    fault=handle.fault,
-                )
+        for handle in open_configured(config, source, hash_file).each_handle():
+            yield Unit(
+                unit_id=f"{handle.family}/{handle.scene_id}",
+                partition=handle.family,
+                inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
+                payload=scene_payload(source, handle.scene_id),
+                costs={} if handle.fault else stage_costs(handle.family, handle.counts, asked),
+                memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
+                fault=handle.fault,
             )
-    for name, count in Counter(unit.unit_id for unit in units).items():
-        if count > 1:
-            raise ConfigError(
-                f"scene {name} comes from two sources",
-                remedy="Keep one of them, or separate them with 'scenes' and 'exclude'.",
-            )
-    return units
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:

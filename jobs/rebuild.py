@@ -7,7 +7,7 @@ the work to the first; on several, all may work, one publishes, and the others s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -104,7 +104,7 @@ def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
         return _work(job, units, found)
 
 
-def _work(job: _Rebuild, units: list[Unit], found: Plan) -> Report:
+def _work(job: _Rebuild, units: Collection[Unit], found: Plan) -> Report:
     """Process the units that are out of date by the plan `found`, publish, export, and sweep the store; return the
     rebuild's report.
     """

@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any, Final
 
 from condvln.sources.file_listing import is_folder
@@ -135,37 +136,43 @@ class Watch:
         return [index.get("snapshot"), found]
 
 
-def look(roots: Iterable[Path]) -> tuple[list[list[Any]], bool]:
-    """Return ([path, size, mtime_ns] of every file at or below `roots`, whether all files are old enough). A file is
-    old enough if any later change must give it another modification time.
+def look(roots: Iterable[Path]) -> tuple[str, bool]:
+    """Return (a digest of path, size and mtime_ns of every file at or below `roots`, whether all files are old enough).
+    A file is old enough if any later change must give it another modification time.
 
-    Sorted within each root; links are followed, each folder once. A file touched just now may change once more without
-    showing it, where clocks are coarse.
+    Links are followed, each folder once. A file touched just now may change once more without showing it, where clocks
+    are coarse.
     """
-    found: list[list[Any]] = []
+    state = hashlib.sha256()
+    youngest = 0
     seen: set[tuple[int, int]] = set()
     for root in roots:
-        files = [_stat(str(root))] if not root.is_dir() else []
-        stack = [str(root)] if root.is_dir() else []
+        stack = [str(root)]
         while stack:
-            folder = stack.pop()
+            files: list[list[Any]] = []
+            folders: list[str] = []
+            place = stack.pop()
             try:
-                stat = os.stat(folder)
-                entries = [*os.scandir(folder)]
+                stat = os.stat(place)
+                entries = [*os.scandir(place)] if S_ISDIR(stat.st_mode) else []
             except OSError:
-                files.append([folder, -1, 0])
-                continue
-            if (stat.st_dev, stat.st_ino) in seen:
-                continue
-            seen.add((stat.st_dev, stat.st_ino))
-            for entry in entries:
-                if is_folder(entry):
-                    stack.append(entry.path)
-                else:
-                    files.append(_stat(entry))
-        found += sorted(files)
-    youngest = max((file[2] for file in found), default=0)
-    return found, time.time() - youngest / 1e9 >= SETTLED_SECONDS
+                files.append([place, -1, 0])
+            else:
+                if (stat.st_dev, stat.st_ino) in seen:
+                    continue
+                seen.add((stat.st_dev, stat.st_ino))
+                if not S_ISDIR(stat.st_mode):
+                    files.append(_stat(place))
+                for entry in entries:
+                    if is_folder(entry):
+                        folders.append(entry.path)
+                    else:
+                        files.append(_stat(entry))
+            # Sorted in each folder, since a list of all files would grow with the dataset.
+            stack += sorted(folders, reverse=True)
+            state.update(json.dumps(sorted(files)).encode())
+            youngest = max([youngest, *(file[2] for file in files)])
+    return state.hexdigest(), time.time() - youngest / 1e9 >= SETTLED_SECONDS
 
 
 def _stat(file: str | os.DirEntry[str]) -> list[Any]:

@@ -18,6 +18,8 @@ __all__ = ["TRANSIENT", "DatasetRoot"]
 _DRIVE = re.compile(r"^[A-Za-z]:")
 TRANSIENT: Final = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
 """Errors of the operating system that a retry may resolve."""
+PATHS_KEPT: Final = 1 << 16
+"""Number of paths of which it is kept that they stay inside the root, so that a large dataset takes no more memory."""
 _ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; correct the entry"
 
 
@@ -73,6 +75,8 @@ class DatasetRoot:
                 remedy="Put the file itself, not a link, inside the dataset's root folder",
             )
         if os.path.lexists(path):
+            if len(self._inside) >= PATHS_KEPT:
+                self._inside.clear()
             self._inside.add(relative)
         return path
 

@@ -112,14 +112,19 @@ class SceneSource(ABC):
 
     def handles(self) -> list[SceneHandle]:
         """Return the selected scenes; see `Source.handles`."""
+        return sorted(self.each_handle(), key=lambda h: h.scene_id)
+
+    def each_handle(self) -> Iterator[SceneHandle]:
+        """Yield the selected scenes; see `Source.each_handle`."""
         choice = self.options.choice
         self._passed_over = {}
         known: list[str] = []
-        found: list[SceneHandle] = []
+        found = 0
         for scene_id, note in self.listing():
             known.append(scene_id)
             if choice.wanted(scene_id):
-                found.append(self._handle(scene_id, note))
+                found += 1
+                yield self._handle(scene_id, note)
         missing = choice.missing(known)
         lost = {place: fault for place, fault in self._lost.items() if not choice.excluded(place)}
         if choice.only_names() and not missing:
@@ -137,8 +142,8 @@ class SceneSource(ABC):
             f"exclude: {p}": "no scene fits it" for p in choice.idle_exclusions([*known, *self._lost])
         }
         faults = {s: self.not_there(s) for s in missing} | {p: self._fits_none(p) for p in choice.idle(known)} | lost
-        found += [SceneHandle(self.family, name, (), SceneCounts(), fault) for name, fault in faults.items()]
-        return sorted(found, key=lambda h: h.scene_id)
+        for name, fault in faults.items():
+            yield SceneHandle(self.family, name, (), SceneCounts(), fault)
 
     def passed_over(self) -> list[tuple[str, str]]:
         """Return (path, reason) of everything that the last listing skipped; see `Source.passed_over`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, TypeAlias
@@ -100,6 +100,10 @@ class Source(Protocol):
         """Return the selected scenes, sorted by id. No geometry is read. The handle of a scene that can't be listed has
         the reason as its fault.
         """
+        ...
+
+    def each_handle(self) -> Iterator[SceneHandle]:
+        """Yield what `handles` returns, one by one and in any order: a list of a million takes gigabytes."""
         ...
 
     def scene_ids(self) -> list[str]:

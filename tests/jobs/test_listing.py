@@ -13,7 +13,7 @@ import pytest
 import jobs.listing
 from condvln.sources.source import hash_file
 from jobs.listing import listed_units
-from jobs.pipeline import list_units
+from jobs.pipeline import list_units, units_of
 from schemas.config import AgentConfig, Config, SplitsConfig
 
 
@@ -29,11 +29,11 @@ def listings(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
 
     def counted(*arguments: object) -> object:
-        units = list_units(*arguments)  # type: ignore[arg-type]
+        units = units_of(*arguments)  # type: ignore[arg-type]
         found.append(len(units))
         return units
 
-    monkeypatch.setattr(jobs.listing, "list_units", counted)
+    monkeypatch.setattr(jobs.listing, "units_of", counted)
     return found
 
 
@@ -44,7 +44,17 @@ def settle(folder: Path, age: float = 60.0) -> None:
 
 def test_what_is_remembered_is_what_would_be_listed(config: Config, listings: list[int]) -> None:
     expected = list_units(config, hash_file)
-    assert [listed_units(config) for _ in range(3)] == [expected] * 3
+    assert [[*listed_units(config)] for _ in range(3)] == [expected] * 3
+    assert listings == [2]
+
+
+def test_files_beyond_the_table_are_repeated_in_each_scene(
+    config: Config, listings: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs.listing, "FILES", 3)
+    expected = list_units(config, hash_file)
+    assert len({file for unit in expected for file in unit.inputs}) > 3
+    assert [[*listed_units(config)] for _ in range(2)] == [expected] * 2
     assert listings == [2]
 
 
@@ -57,7 +67,7 @@ def test_any_change_lists_again(config: Config, dataset: Path, listings: list[in
     text = json.dumps(document)
     scene.write_text(text.ljust(scene.stat().st_size))
     os.utime(scene, (time.time() - 30, time.time() - 30))
-    assert listed_units(config) == list_units(config, hash_file)
+    assert [*listed_units(config)] == list_units(config, hash_file)
     scene.rename(scene.with_suffix(".away"))
     assert len(listed_units(config)) == 1
     scene.with_suffix(".away").rename(scene)
@@ -89,10 +99,13 @@ def test_scenes_that_can_not_be_listed_are_looked_at_every_time(
     assert len(listings) == 2
 
 
-@pytest.mark.parametrize("damage", [b"", b"{", b'{"inputs": 1}', b"null", b"\xff"])
-def test_a_damaged_memory_is_none(config: Config, listings: list[int], damage: bytes) -> None:
-    expected = listed_units(config)
+@pytest.mark.parametrize("damage", [b"", b"{", b'{"inputs": 1}', b"null", b"\xff", "cut", "stretched"])
+def test_a_damaged_memory_is_none(config: Config, listings: list[int], damage: bytes | str) -> None:
+    expected = [*listed_units(config)]
     (memory,) = Path(str(config.store)).glob(".listing-*.json")
-    memory.write_bytes(damage)
-    assert listed_units(config) == expected
+    whole = memory.read_bytes().splitlines(keepends=True)
+    assert len(whole) == 3
+    changed = {"cut": b"".join(whole[:2]), "stretched": b"".join([*whole, whole[2]])}
+    memory.write_bytes(changed[damage] if isinstance(damage, str) else damage)
+    assert [*listed_units(config)] == expected
     assert len(listings) == 2
