@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import heapq
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -175,9 +175,9 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
                 source=part.source,
                 category=part.category,
                 episodes=len(right),
-                scenes=int(part.scenes.max()) + 1,
+                scenes=part.different_scenes,
                 accuracy=float(right.mean()),
-                chance=float(part.chance.mean()),
+                chance=part.mean_chance,
                 low=low,
                 high=high,
                 p=max(binomial_tail(int(right.sum()), part.trials), p_by_scenes(right - part.chance, part.scenes)),
@@ -188,7 +188,8 @@ def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:
 class _Part(NamedTuple):
     """A subset of the episodes that is tested separately.
 
-    inside : indices of the part's episodes; chance : of each; scenes : the scene of each, numbered from 0
+    inside : indices of the part's episodes; chance : of each; mean_chance : the mean of these
+    scenes : the scene of each, numbered from 0; different_scenes : the number of scenes
     trials : number of episodes by chance
     """
 
@@ -199,6 +200,8 @@ class _Part(NamedTuple):
     chance: NDArray[np.float64]
     scenes: NDArray[np.int64]
     trials: Mapping[float, int]
+    different_scenes: int
+    mean_chance: float
 
     @classmethod
     def of(
@@ -214,8 +217,9 @@ class _Part(NamedTuple):
         for every episode of the sample.
         """
         own = chance[inside]
-        scenes = np.unique(scene[inside], return_inverse=True)[1]
-        return cls(source, category, predicate, inside, own, scenes, Counter(own.tolist()))
+        different, scenes = np.unique(scene[inside], return_inverse=True)
+        trials = Counter(own.tolist())
+        return cls(source, category, predicate, inside, own, scenes, trials, len(different), float(own.mean()))
 
 
 def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str, NDArray[np.int64]]:
@@ -232,11 +236,14 @@ def _guesses(views: Sequence[GuesserView], source: NDArray[np.str_]) -> dict[str
 
 def _asked(views: Sequence[GuesserView]) -> dict[str, NDArray[np.bool_]]:
     """Return, for each predicate, a mask of the episodes in which at least one condition uses this predicate."""
-    found: dict[str, NDArray[np.bool_]] = {}
+    places: defaultdict[str, list[int]] = defaultdict(list)
     for k, view in enumerate(views):
         for asked in view.asked:
-            found.setdefault(asked.predicate or PRESENCE, np.zeros(len(views), dtype=np.bool_))[k] = True
-    return dict(sorted(found.items()))
+            places[asked.predicate or PRESENCE].append(k)
+    found = {predicate: np.zeros(len(views), dtype=np.bool_) for predicate in sorted(places)}
+    for predicate, mask in found.items():
+        mask[places[predicate]] = True
+    return found
 
 
 def _parts(

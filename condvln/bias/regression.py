@@ -144,8 +144,9 @@ def coded_features(texts: int, kinds: Iterable[Occurrences]) -> csc_matrix:
         number = dense(code)
         places.append((number + width) * texts + row)
         width += int(number.max(initial=-1)) + 1
-    # Sorted by features, then by texts, as the matrix is stored.
-    found = np.concatenate(places)
+    # Sorted by features, then by texts, as the matrix is stored; half as long numbers take half of the time.
+    found: NDArray[np.integer[Any]] = np.concatenate(places)
+    found = found.astype(np.int32 if width * texts < 1 << 31 else np.int64)
     found.sort()
     found = found[np.append(True, found[1:] != found[:-1])] if len(found) else found
     columns = found // max(texts, 1)

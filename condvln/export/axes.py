@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import cache
+from itertools import pairwise
 from typing import Final
 
 __all__ = ["ROUTE_BOUNDS", "WORD_BOUNDS", "observability_class", "route_class", "words_class"]
@@ -32,6 +34,11 @@ def words_class(words: int) -> str:
 
 
 def _between(value: float, bounds: tuple[int, ...], digits: int, last: int = 0) -> str:
-    at = bisect_right(bounds, value)
-    low = 0 if at == 0 else bounds[at - 1]
-    return f"{low:0{digits}}+" if at == len(bounds) else f"{low:0{digits}}–{bounds[at] - last:0{digits}}"
+    return _classes(bounds, digits, last)[bisect_right(bounds, value)]
+
+
+@cache
+def _classes(bounds: tuple[int, ...], digits: int, last: int) -> list[str]:
+    """Return the names of all classes that begin at 0 and at `bounds`."""
+    named = [f"{low:0{digits}}–{high - last:0{digits}}" for low, high in pairwise((0, *bounds))]
+    return [*named, f"{bounds[-1]:0{digits}}+"]

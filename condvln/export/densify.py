@@ -64,7 +64,9 @@ def densify_many(
     pieces = np.ceil(np.sqrt((span * span).sum(axis=1)) / spacing - _SLACK).astype(np.int64)
     pieces[is_last] = 1
     total = np.concatenate(([0], np.cumsum(pieces)))
-    owner = np.repeat(np.arange(len(points)), pieces)
-    within = np.arange(total[-1]) - total[owner]
-    dense = points[owner] + span[owner] * (within / pieces[owner])[:, None]
+    within = np.arange(total[-1]) - np.repeat(total[:-1], pieces)
+    # Repeating rows takes half of the time of taking them by their numbers.
+    dense = np.repeat(span, pieces, axis=0)
+    dense *= (within / np.repeat(pieces, pieces))[:, None]
+    dense += np.repeat(points, pieces, axis=0)
     return dense, total[starts]

@@ -160,7 +160,7 @@ class PoolBuilder:
         column = {name: batch.column(name).to_pylist() for name in POOL_COLUMNS if name not in _NUMBERS}
         number = {name: batch.column(name).to_numpy().astype(np.int64) for name in _NUMBERS}
         scenes, units = column["scene_id"], _units(column)
-        starts = [tuple(start.values()) for start in column["start_position"]]
+        starts = ["\0".join(map(str, start.values())) for start in column["start_position"]]
         reasons = [(barred or {}).get(scene, "") for scene in scenes]
         steps = number["ground_truth_steps"]
         over = (2 * steps > STEP_CEILING) | (steps > number["max_steps"])
@@ -177,7 +177,7 @@ class PoolBuilder:
             episode=hashes_of((name,) for name in column["episode_hash"]),
             instruction=hashes_of((source, name) for name in column["instruction_id"]),
             unit=hashes_of((source, scene, unit) for scene, unit in zip(scenes, units, strict=True)),
-            start=hashes_of((source, scene, *start) for scene, start in zip(scenes, starts, strict=True)),
+            start=hashes_of((source, scene, start) for scene, start in zip(scenes, starts, strict=True)),
             grouped=np.array([group is not None for group in column["group_id"]], dtype=bool),
             category=np.array([CATEGORIES.index(name) for name in column["category"]], dtype=np.int8),
             leaf=number["gold_leaf"].astype(np.int8),

@@ -33,13 +33,16 @@ _CLOSING: Final = ord("]")
 
 
 class Points:
-    """A list of points that is to be written: its JSON, and the points as a part of a column."""
+    """A list of points that is to be written: its JSON, and the points as a part of a column.
 
-    __slots__ = ("_begin", "_column", "_end", "json")
+    fragment : the JSON, in the form in which orjson copies it into that of a document
+    """
+
+    __slots__ = ("_begin", "_column", "_end", "fragment", "json")
 
     def __init__(self, json: bytes, column: F64, begin: int, end: int) -> None:
         """The points are ``column[begin:end]``, each a row."""
-        self.json = json
+        self.json, self.fragment = json, orjson.Fragment(json)
         self._column, self._begin, self._end = column, begin, end
 
     def __len__(self) -> int:
@@ -148,8 +151,8 @@ def _points(column: F64, bounds: list[int]) -> list[Points]:
     # one is where a further point would begin.
     begins = np.append(1, np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == _CLOSING)[: len(column)] + 2)
     cuts = begins[bounds].tolist()
-    told = (b"[" + text[a : b - 1] + b"]" for a, b in pairwise(cuts))
-    return [Points(json, column, a, b) for json, (a, b) in zip(told, pairwise(bounds), strict=True)]
+    told = [b"[" + text[a : b - 1] + b"]" for a, b in pairwise(cuts)]
+    return [*map(Points, told, repeat(column), bounds, bounds[1:])]
 
 
 def _structs(array: pa.StructArray, encoded: bool) -> list[Any]:

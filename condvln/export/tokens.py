@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import filterfalse
 from typing import Any, Final
 
 import numpy as np
@@ -113,7 +114,7 @@ class Vocabulary:
         found: set[str] = set()
         known: set[str] = set()
         for text in texts:
-            pieces = set(text.split()) - known
+            pieces = set(filterfalse(known.__contains__, text.split()))
             apart = [_tokens_apart(piece) for piece in pieces]
             if None in apart:
                 found.update(tokenize(text))

@@ -10,6 +10,7 @@ import posixpath
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -40,6 +41,9 @@ __all__ = [
 
 FORWARD: Final = 1
 """Index of the forward action in ground-truth actions: STOP 0, FORWARD 1, LEFT 2, RIGHT 3."""
+_FRAGMENT: Final = attrgetter("fragment")
+"""Returns the JSON of :class:`~condvln.export.rows.Points`; a function of Python would take longer."""
+_INSTRUCTION: Final = b'"instruction":'
 
 SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb"} | {
     name: family.scene_file for name, family in FAMILIES.items()
@@ -101,12 +105,10 @@ class EncodedEpisode(NamedTuple):
     @classmethod
     def of(cls, row: Row, scene_id: str) -> EncodedEpisode:
         """Return the JSON of the stock episode of a row of the episodes table."""
-        episode = vlnce_episode(row, scene_id, [])
-        keys = [*episode]
-        at = keys.index("instruction")
-        head = encode({key: episode[key] for key in keys[:at]})
-        tail = encode({key: episode[key] for key in keys[at + 1 :]})
-        return cls(head[:-1] + b',"instruction":', b"," + tail[1:])
+        whole = encode({**vlnce_episode(row, scene_id, []), "instruction": None})
+        # No text can have this key: its quotes would be escaped.
+        head, _, tail = whole.partition(_INSTRUCTION + b"null")
+        return cls(head + _INSTRUCTION, tail)
 
     def with_instruction(self, instruction: bytes) -> bytes:
         """Return the JSON of the whole episode; `instruction` is JSON too."""
@@ -168,13 +170,7 @@ def encode(document: object) -> bytes:
     """Return JSON bytes; numbers in their shortest form, keys in the given order. The document may have
     :class:`~condvln.export.rows.Points`.
     """
-    return orjson.dumps(document, default=_known_json)
-
-
-def _known_json(value: object) -> orjson.Fragment:
-    if isinstance(value, Points):
-        return orjson.Fragment(value.json)
-    raise TypeError(f"{type(value).__name__} has no JSON")
+    return orjson.dumps(document, default=_FRAGMENT)
 
 
 @dataclass

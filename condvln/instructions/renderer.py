@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Final
 
 from condvln.instructions.language import Form, Language, Noun, Slot, Template, Voice
@@ -18,7 +19,6 @@ from schemas.program import (
     SUPERLATIVES,
     Category,
     Condition,
-    Leaf,
     ObjectRef,
     Predicate,
     Program,
@@ -41,6 +41,7 @@ HAS_SHARE: Final = 0.35
 """Share of texts that say "the kitchen has a lamp", not "there's a lamp in the kitchen"."""
 COMPOUND_SHARE: Final = 0.6
 """Share of texts that say "the kitchen sink", not "the sink in the kitchen"."""
+_NOTHING_NAMED: Final = Naming()
 _JOINED: Final = ("joined", "not_joined")
 """Forms of a condition behind another one, after "and" or "but"."""
 _PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
@@ -53,42 +54,44 @@ class Renderer:
     short : of phrases with the same meaning, use one with the fewest words
     """
 
+    scope: RoomRef | None = None
+    last_room: str | None = None
+    # What a text begins with stands in the class, so that a renderer is made in half of the time.
+    _room_asked: str | None = None
+    _is_beside = False
+    _answered = "", 0
+    _requests = 0
+    _is_room_first = False
+    _asked_by_exists = _asked_by_look = False
+    _looked_at: int | None = None
+    _denied: int | None = None
+    _denied_behind = -1, ""
+    _types: Sequence[str] = ()
+    _category: Category = "simple"
+    _here = Slot("leaf", 0), 0
+    _bearing: int | None = None
+    _whether: frozenset[int] = frozenset()
+    _answered_next: Mapping[int, Form] = MappingProxyType({})
+    _request_before = ""
+    _compounds = False
+    _there = False
+    _joined_next: Form | None = None
+    _is_gapped = False
+    _existential: bool | None = None
+    _too: str | None = None
+    _has: bool | None = None
+    _clause_room: str | None = None
+
     def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
         self.words, self.voice, self.draws, self.short = words, voice, draws, short
-        self.naming = Naming()
-        self.scope: RoomRef | None = None
-        self.last_room: str | None = None
+        self.naming = _NOTHING_NAMED
         self._chosen: dict[str, str] = {}
         self._turns: dict[str, int] = {}
         self._relations: dict[Predicate, str] = {}
         self._asked: set[int] = set()
-        self._room_asked: str | None = None
-        self._is_beside = False
-        self._answered = "", 0
-        self._requests = 0
-        self._is_room_first = False
-        self._asked_by_exists = self._asked_by_look = False
-        self._looked_at: int | None = None
-        self._denied: int | None = None
-        self._denied_behind = -1, ""
-        self._types: list[str] = []
         self._introduced: dict[str, Mention] = {}
-        self._category: Category = "simple"
-        self._here = Slot("leaf", 0), 0
-        self._bearing: int | None = None
-        self._whether: frozenset[int] = frozenset()
-        self._answered_next: Mapping[int, Form] = {}
-        self._request_before = ""
         self._room_of: dict[str, str] = {}
         self._found: set[str] = set()
-        self._compounds = False
-        self._there = False
-        self._joined_next: Form | None = None
-        self._is_gapped = False
-        self._existential: bool | None = None
-        self._too: str | None = None
-        self._has: bool | None = None
-        self._clause_room: str | None = None
 
     def program(self, program: Program) -> str:
         naming = self.naming = Naming.of(program)
@@ -160,7 +163,7 @@ class Renderer:
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
             leaf, room = program.leaves[slot.index], self.last_room
-            said = self.moves(leaf, bare=slot.bare)
+            said = self.moves(leaf.moves, bare=slot.bare)
             self._answered, self._clause_room = ("", 0), None
             if any(move.is_bearing or move.room.room_id != room for move in leaf.moves):
                 # "there" would not be understood as a room of another branch, though that one was named last; nor is
@@ -472,9 +475,8 @@ class Renderer:
 
     # -- places --------------------------------------------------------------------------------------------------------
 
-    def moves(self, leaf: Leaf, *, bare: bool = False) -> str:
+    def moves(self, stops: Sequence[ObjectRef], *, bare: bool = False) -> str:
         """Return the stops of one leaf as one imperative; with `bare` without its verb, as in "to the lamp"."""
-        stops = leaf.moves
         self._there = False
         verb = self._phrase("to") if bare else self._in_turn("go", self._usable("go"))
         texts = [f"{verb} {self._stop(stops[0])}"]

@@ -23,7 +23,7 @@ from condvln.seeding import FewDraws, stable_hash
 from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
-from schemas.program import Leaf, ObjectRef, Program
+from schemas.program import ObjectRef, Program
 
 __all__ = [
     "HEADINGS",
@@ -142,9 +142,7 @@ def render_moves(
     moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 ) -> str:
     """Return a sequence of moves as one sentence: the text of an oracle-linear twin."""
-    code = _wording(wording).language
-    words = language(code)
-    draws = FewDraws(seed, "text", instruction_id, code)
-    short = _wording(wording).length == "short"
-    renderer = Renderer(words, voice_of(seed, instruction_id, wording), draws, short=short)
-    return sentences(words, f"{renderer.moves(Leaf(moves=moves))}.")
+    said = _wording(wording)
+    words, voice = language(said.language), voice_of(seed, instruction_id, said)
+    draws = FewDraws(seed, "text", instruction_id, said.language)
+    return sentences(words, f"{Renderer(words, voice, draws, short=said.length == 'short').moves(moves)}.")

@@ -20,7 +20,7 @@ def sentences(words: Language, text: str) -> str:
     if ";" in text or ":" in text:
         text = ". ".join(_split(sentence) for sentence in text.split(". "))
     for mark in (". ", "? "):
-        text = mark.join(_capital(part) for part in text.split(mark))
+        text = mark.join([_capital(part) for part in text.split(mark)])
     return text
 
 
