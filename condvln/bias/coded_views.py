@@ -188,7 +188,7 @@ def _repeated(sizes: Sequence[int]) -> tuple[Indices, Indices, Indices]:
 
 def _sentence_lengths(text: str) -> list[int]:
     """Return the number of words of each sentence of a text."""
-    if not text or not text.isprintable() or "  " in text or text[-1] == " ":
+    if not text.isprintable() or "  " in f" {text} ":
         return [len(one.split()) for one in _SENTENCE_END.split(text)]
     # The same where words have single spaces between them, in a fifth of the time.
     text = text.replace("? ", ". ").replace("! ", ". ")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from condvln.bias import coded_views
 from condvln.bias.coded_views import CodedViews
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.learners import Kind, _cues, _definiteness, _form, _length, _text_words, _voice, content_words
@@ -106,3 +110,9 @@ def test_combinations_have_different_numbers() -> None:
         pairs = set(zip(combined(*codes).tolist(), zip(*codes.tolist(), strict=True), strict=True))
         assert len(pairs) == len({number for number, _ in pairs}) == len({parts for _, parts in pairs})
         assert dense(codes[0]).tolist() == np.unique(codes[0], return_inverse=True)[1].tolist()
+
+
+@given(st.text("ab.?! \t ", max_size=12))
+def test_sentences_have_as_many_words_as_they_are_split_into(text: str) -> None:
+    expected = [len(one.split()) for one in re.split(r"(?<=[.?!])\s+", text)]
+    assert coded_views._sentence_lengths(text) == expected
