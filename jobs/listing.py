@@ -22,7 +22,7 @@ from schemas.config import Config
 
 __all__ = ["listed_units"]
 
-FILES: Final = 1 << 16
+FILES: Final = 1 << 14
 """Number of input files that are written once for all scenes; further ones are repeated in each scene."""
 
 
