@@ -251,32 +251,20 @@ def _precondition(factor: F32, inverse: F32, left: F32, near: F32) -> None:
             near[word, j] = scale * left[word, j]
     for i in range(size):
         row = near[i]
-        _subtract_rows(factor[:i, i], near[:i], row)
         for j in range(columns):
             row[j] /= factor[i, i]
+        for k in range(i + 1, size):
+            below, scale = near[k], factor[i, k]
+            for j in range(columns):
+                below[j] -= scale * row[j]
     for i in range(size - 1, -1, -1):
         row = near[i]
-        _subtract_rows(factor[i, i + 1 :], near[i + 1 : size], row)
+        for k in range(i + 1, size):
+            below, scale = near[k], factor[i, k]
+            for j in range(columns):
+                row[j] -= scale * below[j]
         for j in range(columns):
             row[j] /= factor[i, i]
-
-
-@inlined
-def _subtract_rows(scales: F32, rows: F32, own: F32) -> None:
-    """Subtract each of `rows`, times its scale, from `own`."""
-    at = 0
-    # Four at a time, as in `add_rows`.
-    while at + 4 <= len(rows):
-        a, b, c, d = rows[at], rows[at + 1], rows[at + 2], rows[at + 3]
-        of_a, of_b, of_c, of_d = scales[at], scales[at + 1], scales[at + 2], scales[at + 3]
-        at += 4
-        for j in range(len(own)):
-            own[j] = (((own[j] - of_a * a[j]) - of_b * b[j]) - of_c * c[j]) - of_d * d[j]
-    while at < len(rows):
-        one, scale = rows[at], scales[at]
-        for j in range(len(own)):
-            own[j] -= scale * one[j]
-        at += 1
 
 
 @inlined
