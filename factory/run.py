@@ -115,7 +115,8 @@ def run(
     part_bytes: int = PART_BYTES,
     faults: str = "",
 ) -> RunReport:
-    """Bring ``ref`` up to date with ``units``, which are kept on disk if they are no collection.
+    """Bring ``ref`` up to date with ``units``. Iterables that are no ``Collection`` are kept on disk; a collection is
+    iterated over several times, and must not change meanwhile.
 
     executor : who does the work; this process by default
     budget : quarantined units that stop the run (a count, or a share of all units); no limit by default

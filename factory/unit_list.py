@@ -19,9 +19,10 @@ _PIECE: Final = 4096
 
 
 class UnitList(Collection[Unit]):
-    """Units in the order of their ids, which can be iterated over many times; in memory is only their order.
+    """Units in the order of their ids, which can be iterated over many times. In memory is only their order, and their
+    ids while they are put in order.
 
-    twice : an id that two units have; empty if there is none
+    twice : an id that two units have; None if there is none
     faulty : whether a unit could not be listed
     """
 
@@ -40,7 +41,7 @@ class UnitList(Collection[Unit]):
         ids = pa.chunked_array([*packed, _packed(held)])
         order = pc.sort_indices(ids)
         same = _first_of_equal(ids.take(order))
-        self.twice = "" if same is None else same.decode("utf-8", "surrogatepass")
+        self.twice = None if same is None else same.decode("utf-8", "surrogatepass")
         self._order = order.to_numpy()
 
     def __len__(self) -> int:

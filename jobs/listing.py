@@ -7,6 +7,8 @@ memory is a file in the machine's local state; names, sizes and times decide whe
 from __future__ import annotations
 
 import os
+import secrets
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -57,7 +59,8 @@ def _read(path: Path, inputs: str) -> UnitList | None:
 
 
 def _write(path: Path, inputs: str, units: UnitList) -> None:
-    temporary = path.with_suffix(".tmp")
+    # Another process may write its own list meanwhile.
+    temporary = path.with_suffix(f".{secrets.token_hex(8)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("wb") as lines:
@@ -65,7 +68,8 @@ def _write(path: Path, inputs: str, units: UnitList) -> None:
             lines.writelines(map(_Files().line, units))
         os.replace(temporary, path)
     except (OSError, TypeError):
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # in a store that is read-only, too
+            temporary.unlink(missing_ok=True)
 
 
 class _Files:

@@ -133,7 +133,7 @@ def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
 def units_of(config: Config, hash_file: HashFile) -> UnitList:
     """Return what ``list_units`` does, on disk."""
     units = UnitList(_each_unit(config, hash_file))
-    if units.twice:
+    if units.twice is not None:
         raise ConfigError(
             f"scene {units.twice} comes from two sources",
             remedy="Keep one of them, or separate them with 'scenes' and 'exclude'.",

@@ -9,14 +9,15 @@ __all__ = ["open_standard_files"]
 
 
 def open_standard_files() -> None:
-    """Open what a caller has closed of standard input, output and errors: other files would get these numbers, and be
-    replaced or missing in the processes that this one starts. To be called before any file is opened.
+    """Open what a caller has closed of standard input, output and errors: files opened later would get these numbers,
+    and be replaced or missing in the processes that this one starts. What Python prints there goes nowhere.
     """
     for number in (0, 1, 2):
         try:
             os.fstat(number)
         except OSError:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
-    for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 - as long as the process
+            # Not by its number, which may be a file's that was opened meanwhile.
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - as long as the process

@@ -19,7 +19,7 @@ _DRIVE = re.compile(r"^[A-Za-z]:")
 TRANSIENT: Final = frozenset({errno.EIO, errno.EAGAIN, errno.EBUSY, errno.ESTALE, errno.ETIMEDOUT, errno.EINTR})
 """Errors of the operating system that a retry may resolve."""
 PATHS_KEPT: Final = 1 << 16
-"""Number of paths of which it is kept that they stay inside the root, so that a large dataset takes no more memory."""
+"""Number of checked paths that are remembered; when there are more, all are forgotten."""
 _ESCAPE_REMEDY = "Paths must stay inside the dataset's root folder; correct the entry"
 
 

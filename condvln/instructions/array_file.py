@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tempfile
+import weakref
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +28,7 @@ class ArrayFile:
     def __init__(self, width: int) -> None:
         self._width = width
         self._file: Any = tempfile.SpooledTemporaryFile(max_size=IN_MEMORY)  # noqa: SIM115 - closed with this object
+        weakref.finalize(self, _close, self._file)
 
     def append(self, *arrays: NDArray[np.integer[Any]]) -> None:
         """Append a tuple of (n,) arrays, each of its own length, whose values fit in 32 bits."""
@@ -47,3 +50,9 @@ class ArrayFile:
             data = np.frombuffer(self._file.read(4 * int(lengths.sum())), np.int32)
             at = self._file.tell()
             yield tuple(np.split(data, np.cumsum(lengths)[:-1]))
+
+
+def _close(file: Any) -> None:
+    """Close a file. What could not be written to it is lost with it."""
+    with suppress(OSError):
+        file.close()

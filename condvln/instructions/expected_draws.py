@@ -16,7 +16,7 @@ true occurrences are multiplied and those of its false ones divided.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -124,12 +124,14 @@ def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 
 
     Parameters
     ----------
-    blocks : the draws in all scenes, some scenes in each block; iterated over once a round
+    blocks : the draws in all scenes, some scenes in each block; they are iterated over many times, so no iterator
     excess (s,) : wanted excess of true draws over false ones, as a share of both, in parts of what a fair coin
         would make it
     added : number of scenes, with as many draws each as a statement has on average, that are added to its draws of
         either truth, so that statements of few scenes are changed less
     """
+    if isinstance(blocks, Iterator):
+        raise TypeError("blocks are iterated over many times, which an iterator can't be")
     octaves = np.zeros(len(excess))
     coin_share, scenes = _coin_share(blocks, len(excess))
     share = excess * coin_share

@@ -164,7 +164,7 @@ class _Forms:
 @dataclass(frozen=True, eq=False)
 class LabelPriors:
     """Counts of labels and statements in rooms. Counts of several scenes are added by `merged`, in any order and
-    grouping; `of_corpus` needs the order of ids, on which sums of floats, and which scenes are left out, depend.
+    grouping; `of_corpus` needs the order of ids, on which sums of floats depend.
 
     parts : tables of schema `PRIORS`, to be summed
     summed : the one part is sorted, and no two rows of it are about the same statement

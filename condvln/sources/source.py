@@ -103,7 +103,9 @@ class Source(Protocol):
         ...
 
     def each_handle(self) -> Iterator[SceneHandle]:
-        """Yield what `handles` returns, one by one and in any order: a list of a million takes gigabytes."""
+        """Yield what `handles` returns, one by one and in any order: a list of a million takes gigabytes. That no scene
+        can be listed is found, and `passed_over` is known, only at the end.
+        """
         ...
 
     def scene_ids(self) -> list[str]:
@@ -111,8 +113,8 @@ class Source(Protocol):
         ...
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return (path, reason) of everything that the last call of `handles` skipped, sorted. No scene that should
-        have been listed is among the skipped files.
+        """Return (path, reason) of everything that the last listing (`handles`, `each_handle`) skipped, sorted. No
+        scene that should have been listed is among the skipped files.
         """
         ...
 

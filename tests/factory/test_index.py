@@ -27,6 +27,7 @@ from hypothesis import strategies as st
 
 import factory.index as index_module
 import factory.scratch as scratch_module
+from condvln.instructions.array_file import ArrayFile
 from factory import FileHashes, LocalStore, Snapshot, hash_file, run
 from factory.commits import Commits
 from factory.flags import Flags
@@ -299,9 +300,9 @@ class Writing(toys.Total):
     """An aggregate that writes a temporary file."""
 
     def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
-        with tempfile.TemporaryFile() as file:
-            file.write(b"x" * (1 << 20))
-        return pa.table({"total": [0]})
+        file = ArrayFile(1)
+        file.append(np.arange(1 << 21))
+        return pa.table({"total": [len([*file])]})
 
 
 def aggregated() -> None:

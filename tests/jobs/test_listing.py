@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 import jobs.listing
 from condvln.sources.source import hash_file
-from jobs.listing import listed_units
+from factory import Unit
+from factory.unit_list import UnitList
+from jobs.listing import _read, _write, listed_units
 from jobs.pipeline import list_units, units_of
 from schemas.config import AgentConfig, Config, SplitsConfig
 
@@ -56,6 +59,34 @@ def test_files_beyond_the_table_are_repeated_in_each_scene(
     assert len({file for unit in expected for file in unit.inputs}) > 3
     assert [[*listed_units(config)] for _ in range(2)] == [expected] * 2
     assert listings == [2]
+
+
+def test_two_processes_that_write_at_once_do_not_mix_their_lists(tmp_path: Path) -> None:
+    first, second = ([Unit(f"{name}{k}", "p") for k in range(4)] for name in "ab")
+
+    class Slow(UnitList):
+        def __iter__(self) -> Iterator[Unit]:
+            for at, unit in enumerate(super().__iter__()):
+                if at == 2:
+                    _write(path, "second", UnitList(second))
+                    assert [*_read(path, "second")] == second
+                yield unit
+
+    path = tmp_path / "list.json"
+    _write(path, "first", Slow(first))
+    assert [*_read(path, "first")] == first
+    assert _read(path, "second") is None
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_a_list_that_can_not_be_kept_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "read-only")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    _write(tmp_path / "list.json", "first", UnitList())
+    assert not [*tmp_path.iterdir()]
 
 
 def test_any_change_lists_again(config: Config, dataset: Path, listings: list[int]) -> None:

@@ -154,6 +154,12 @@ def test_the_excess_is_that_of_a_coin(aimed: float) -> None:
     assert fitted_octaves([draws], wanted, 1e9) == pytest.approx(0.0, abs=1e-6), "added scenes keep the weights"
 
 
+def test_an_iterator_is_refused() -> None:
+    draws = draws_of([Occurrence(0, 0, 0, False, 0, True, 0.5)])
+    with pytest.raises(TypeError, match="many times"):
+        fitted_octaves(iter([draws]), np.zeros(1))
+
+
 @pytest.mark.parametrize("in_memory", [1, 1 << 20])
 def test_arrays_are_read_as_often_as_wanted(in_memory: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(array_file, "IN_MEMORY", in_memory)
