@@ -6,6 +6,7 @@ memory is a file in the machine's local state; names, sizes and times decide whe
 
 from __future__ import annotations
 
+import glob
 import os
 import secrets
 from contextlib import suppress
@@ -59,10 +60,12 @@ def _read(path: Path, inputs: str) -> UnitList | None:
 
 
 def _write(path: Path, inputs: str, units: UnitList) -> None:
-    # Another process may write its own list meanwhile.
+    # Each process has a file of its own, so that no two mix; what one that was killed left is removed by the next.
     temporary = path.with_suffix(f".{secrets.token_hex(8)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        for left in path.parent.glob(f"{glob.escape(path.stem)}.*.tmp"):
+            left.unlink(missing_ok=True)
         with temporary.open("wb") as lines:
             lines.write(orjson.dumps({"inputs": inputs, "units": len(units)}) + b"\n")
             lines.writelines(map(_Files().line, units))

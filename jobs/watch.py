@@ -146,33 +146,36 @@ def look(roots: Iterable[Path]) -> tuple[str, bool]:
     state = hashlib.sha256()
     youngest = 0
     seen: set[tuple[int, int]] = set()
-    for root in roots:
-        stack = [str(root)]
-        while stack:
-            files: list[list[Any]] = []
-            folders: list[str] = []
-            place = stack.pop()
-            try:
-                stat = os.stat(place)
-                entries = [*os.scandir(place)] if S_ISDIR(stat.st_mode) else []
-            except OSError:
-                files.append([place, -1, 0])
-            else:
-                if (stat.st_dev, stat.st_ino) in seen:
-                    continue
-                seen.add((stat.st_dev, stat.st_ino))
-                if not S_ISDIR(stat.st_mode):
-                    files.append(_stat(place))
-                for entry in entries:
-                    if is_folder(entry):
-                        folders.append(entry.path)
-                    else:
-                        files.append(_stat(entry))
-            # Sorted in each folder, since a list of all files would grow with the dataset.
-            stack += sorted(folders, reverse=True)
-            state.update(json.dumps(sorted(files)).encode())
-            youngest = max([youngest, *(file[2] for file in files)])
+    stack = [str(root) for root in roots]
+    while stack:
+        files, folders = _inside(stack.pop(), seen)
+        # Sorted in each folder, since a list of all files would grow with the dataset.
+        stack += sorted(folders)
+        state.update(json.dumps(sorted(files)).encode())
+        youngest = max([youngest, *(mtime for _, _, mtime in files)])
     return state.hexdigest(), time.time() - youngest / 1e9 >= SETTLED_SECONDS
+
+
+def _inside(place: str, seen: set[tuple[int, int]]) -> tuple[list[list[Any]], list[str]]:
+    """Return ([path, size, mtime_ns] of the files in a folder, the paths of its folders); of a file, itself. Nothing of
+    a place that is in `seen`, to which it is added.
+    """
+    try:
+        stat = os.stat(place)
+        entries = [*os.scandir(place)] if S_ISDIR(stat.st_mode) else []
+    except OSError:
+        return [[place, -1, 0]], []
+    if (stat.st_dev, stat.st_ino) in seen:
+        return [], []
+    seen.add((stat.st_dev, stat.st_ino))
+    files = [] if S_ISDIR(stat.st_mode) else [_stat(place)]
+    folders = []
+    for entry in entries:
+        if is_folder(entry):
+            folders.append(entry.path)
+        else:
+            files.append(_stat(entry))
+    return files, folders
 
 
 def _stat(file: str | os.DirEntry[str]) -> list[Any]:

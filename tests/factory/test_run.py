@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,6 +153,29 @@ def test_only_the_bits_that_are_read_of_an_aggregate_make_stale(store: LocalStor
     renewed = run(toys.pipeline(), units, store, renew=("total",))
     assert renewed.stages["count"] == 0
     assert renewed.stages["square"] == 10
+
+
+class Order(toys.Total):
+    """An aggregate that notes the ids of its units as they come."""
+
+    def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
+        self.came = [unit_id for unit_id, _ in tables]
+        return pa.table({"total": [len(self.came)]})
+
+
+def test_units_come_to_an_aggregate_in_the_order_of_their_ids(store: LocalStore) -> None:
+    """Not as they were done, the cheapest first: sums of floats depend on it."""
+    order, done = Order(), []
+
+    class Done(Silence):
+        def unit(self, receipt: Receipt) -> None:
+            done.append(receipt.unit_id)
+
+    assert run(toys.pipeline(total=order), toys.units(12), store, progress=Done()).published
+    first = done[:12]
+    assert first != sorted(first)
+    skipped = {"b/u00007"}
+    assert order.came == sorted({*first} - skipped)
 
 
 def test_an_aggregate_with_other_parameters_is_built_again(store: LocalStore) -> None:

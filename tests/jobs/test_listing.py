@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import errno
+import gc
+import gzip
 import json
 import os
+import shutil
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 import jobs.listing
+from condvln.samples import make_samples
 from condvln.sources.source import hash_file
 from factory import Unit
 from factory.unit_list import UnitList
 from jobs.listing import _read, _write, listed_units
 from jobs.pipeline import list_units, units_of
-from schemas.config import AgentConfig, Config, SplitsConfig
+from schemas.config import AgentConfig, Config, SourceConfig, SplitsConfig
 
 
 @pytest.fixture
@@ -73,10 +78,42 @@ def test_two_processes_that_write_at_once_do_not_mix_their_lists(tmp_path: Path)
                 yield unit
 
     path = tmp_path / "list.json"
+    (tmp_path / "list.0123.tmp").write_bytes(b"left by a process that was killed")
     _write(path, "first", Slow(first))
-    assert [*_read(path, "first")] == first
-    assert _read(path, "second") is None
+    assert _read(path, "first") is None, "the later writer has removed its file"
+    assert [*_read(path, "second")] == second
     assert [*tmp_path.iterdir()] == [path]
+
+
+def test_scenes_take_no_memory_each_while_they_are_listed(
+    tmp_path: Path, configured: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither when the sources are read nor when the cache is: a unit of a house takes 5 to 10 KB."""
+    monkeypatch.setattr(jobs.listing, "FILES", 64)
+    make_samples(tmp_path / "made", family="procthor", scenes=2, seed=3)
+    houses = gzip.decompress((tmp_path / "made" / "houses.jsonl.gz").read_bytes()).splitlines(keepends=True)
+
+    def peaks(number: int) -> list[int]:
+        root = tmp_path / str(number)
+        shutil.copytree(tmp_path / "made", root)
+        (root / "houses.jsonl.gz").write_bytes(gzip.compress(b"".join(houses * (number // 2))))
+        settle(root)
+        config = configured(root, sources=(SourceConfig(family="procthor", root=root),), name=f"listed-{number}")
+        found = []
+        for _ in range(2):
+            gc.collect()
+            tracemalloc.start()
+            try:
+                assert len(listed_units(config)) == number
+                found.append(tracemalloc.get_traced_memory()[1])
+            finally:
+                tracemalloc.stop()
+        return found
+
+    peaks(20)
+    few, many = peaks(200), peaks(800)
+    grown = [(after - before) / 600 for before, after in zip(few, many, strict=True)]
+    assert max(grown) < 1000, grown
 
 
 def test_a_list_that_can_not_be_kept_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
