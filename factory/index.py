@@ -385,7 +385,7 @@ def _readable(path: str) -> Iterator[None]:
 
 
 class Index:
-    """The rows of an index, sorted by unit id, and the lookup of single units. Many rows stand in a temporary file.
+    """The rows of an index, sorted by unit id, and the lookup of single units. An index of many rows is on disk.
 
     damaged : it stands in for one that is missing or damaged
     """

@@ -18,7 +18,7 @@ from condvln.bias.blocks import NO_GUESS
 from condvln.bias.coded_views import CodedViews, Indices, Statements, Words
 from condvln.bias.guesser_view import GuesserView
 from condvln.bias.regression import Guesses, Occurrences, coded_features, combined, dense, guessed_from
-from condvln.instructions.language import LANGUAGES, phrases_of
+from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from schemas.program import CATEGORIES, SHAPES, Category
 
@@ -317,7 +317,9 @@ def _voice_words() -> frozenset[str]:
     """Return the words of all phrases of all voices and languages, without the nouns of objects and rooms."""
     found: set[str] = set()
     for code in LANGUAGES:
-        found.update(word.strip(",.;:?¿") for phrase in phrases_of(code) for word in phrase.lower().split())
+        words = language(code)
+        for phrases in (*words.slots.values(), *words.connectives.values()):
+            found.update(word.strip(",.;:?¿") for phrase in phrases for word in phrase.lower().split())
     return frozenset(found - content_words() - {""}) | {"?", ";", ":"}
 
 

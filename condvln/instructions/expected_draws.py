@@ -55,7 +55,7 @@ class ExpectedDraws:
 
     Parameters
     ----------
-    own, weights, form (n,) : of each occurrence of a statement with one truth in one room: 2 × the number of the
+    code, weights, form (n,) : of each occurrence of a statement with one truth in one room: 2 × the number of the
         statement + its truth (0 or 1), its weight without factors, and the form that it has in this room (a predicate,
         definite or not)
     group_of_form (f,) : group of predicates in the room to which a form belongs. Statements of presence are a group and
@@ -67,7 +67,7 @@ class ExpectedDraws:
 
     def __init__(
         self,
-        own: Ints,
+        code: Ints,
         weights: F64,
         *,
         form: Ints,
@@ -78,7 +78,7 @@ class ExpectedDraws:
         presence: F64,
         room_weights: F64,
     ) -> None:
-        self.own, self.weights = own, weights
+        self.code, self.weights = code, weights
         self._form, self._group_of_form, self._room_of_group = form, group_of_form, room_of_group
         self._scene_of_room = scene_of_room
         self._group_weights, self._presence, self._room_weights = group_weights, presence, room_weights
@@ -89,15 +89,15 @@ class ExpectedDraws:
         """
         scene = self._scene_of_room[self._room_of_group][self._group_of_form][self._form]
         scenes = int(scene.max(initial=0)) + 1
-        places, place = np.unique((self.own >> 1).astype(np.int64) * scenes + scene, return_inverse=True)
-        excess: F64 = np.bincount(place, np.where(self.own & 1, drawn, -drawn), len(places)).astype(np.float64)
+        places, place = np.unique((self.code >> 1).astype(np.int64) * scenes + scene, return_inverse=True)
+        excess: F64 = np.bincount(place, np.where(self.code & 1, drawn, -drawn), len(places)).astype(np.float64)
         return places // scenes, excess
 
     def expected(self, weights: F64) -> F64:
         """Return the expected draws of each occurrence if the occurrences have `weights`, per condition of its scene,
         if true and false conditions are drawn equally often.
         """
-        key = 2 * self._form + (self.own & 1)
+        key = 2 * self._form + (self.code & 1)
         sums = np.bincount(key, weights, 2 * len(self._group_of_form)).reshape(-1, 2)
         mass = sums.min(axis=1)  # a form with one truth is not used
         masses = np.bincount(self._group_of_form, mass, len(self._room_of_group))
@@ -139,7 +139,7 @@ def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 
         factors = np.exp2(np.stack([-octaves, octaves], axis=1)).ravel()
         drawn = np.zeros(2 * len(octaves))
         for block in blocks:
-            np.add.at(drawn, block.own, block.expected(block.weights * factors[block.own]))
+            np.add.at(drawn, block.code, block.expected(block.weights * factors[block.code]))
         false, true = drawn[0::2], drawn[1::2]
         total = false + true
         least = LEAST_SHARE * total + np.finfo(np.float64).tiny
@@ -162,7 +162,7 @@ def _coin_share(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, I64]:
     drawn, squares, scenes = np.zeros(2 * count), np.zeros(count), np.zeros(count, np.int64)
     for block in blocks:
         of_block = block.expected(block.weights)
-        np.add.at(drawn, block.own, of_block)
+        np.add.at(drawn, block.code, of_block)
         own, excess = block.of_scenes(of_block)
         np.add.at(squares, own, excess**2)
         np.add.at(scenes, own, 1)

@@ -34,7 +34,6 @@ __all__ = [
     "Template",
     "Voice",
     "language",
-    "phrases_of",
 ]
 
 LANGUAGES: Final = ("en", "es")
@@ -327,14 +326,6 @@ def language(code: str = "en") -> Language:
     )
 
 
-def phrases_of(code: str) -> set[str]:
-    """Return the phrases of all slots and connectives of a language, which need not be loaded as a whole."""
-    document = _document(code)
-    of_slots = [own.get(slot, document["phrases"][slot]) for own in document["voices"].values() for slot in SLOTS]
-    return {phrase for phrases in (*of_slots, *document["connectives"].values()) for phrase in phrases}
-
-
-@cache
 def _document(code: str) -> Mapping[str, Any]:
     text = files("condvln.instructions").joinpath("grammar", f"{code}.yaml").read_text(encoding="utf-8")
     document: Mapping[str, Any] = packaged_yaml(text)

@@ -146,21 +146,21 @@ class _Draws:
         kind_of = np.array([of_predicate[p] for _, _, p, _, _ in statements], np.int64)
         forms = {form: k for k, form in enumerate(dict.fromkeys((p, definite) for _, _, p, _, definite in statements))}
         form_of = np.array([forms[p, definite] for _, _, p, _, definite in statements], np.int64)
-        for own, room, scene_of_room in rows.blocks():
+        for code, room, scene_of_room in rows.blocks():
             alone = np.bincount(scene_of_room)[scene_of_room][room] == 1
             # Of a single room, absence is claimed by the labels of other scenes.
-            kept = (self._weights[own] > 0) & ~((kind_of[own >> 1] == len(groups)) & alone)
-            own, room = own[kept], room[kept]
-            kind = kind_of[own >> 1]
-            form, first = numbered(room, form_of[own >> 1])
+            kept = (self._weights[code] > 0) & ~((kind_of[code >> 1] == len(groups)) & alone)
+            code, room = code[kept], room[kept]
+            kind = kind_of[code >> 1]
+            form, first = numbered(room, form_of[code >> 1])
             group, begins = numbered(room, kind)
-            self._file.append(own, form, group[first], room[begins], scene_of_room, kind[begins])
+            self._file.append(code, form, group[first], room[begins], scene_of_room, kind[begins])
 
     def __iter__(self) -> Iterator[ExpectedDraws]:
-        for own, form, group_of_form, room_of_group, scene_of_room, kind in self._file:
+        for code, form, group_of_form, room_of_group, scene_of_room, kind in self._file:
             yield ExpectedDraws(
-                own,
-                self._weights[own],
+                code,
+                self._weights[code],
                 form=form,
                 group_of_form=group_of_form,
                 room_of_group=room_of_group,

@@ -140,7 +140,7 @@ def test_the_excess_is_that_of_a_coin(aimed: float) -> None:
         for k, pair, other in np.ndindex(40, 3, 2)
     ]
     draws = draws_of(rows)
-    own, signs = draws.own // 2, np.where(draws.own % 2, 1, -1)
+    own, signs = draws.code // 2, np.where(draws.code % 2, 1, -1)
     wanted = np.where(np.arange(6) % 2, -aimed, aimed)
     octaves = fitted_octaves([draws], wanted)
     drawn = draws.expected(draws.weights * np.exp2(signs * octaves[own]))
