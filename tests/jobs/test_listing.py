@@ -111,8 +111,8 @@ def test_scenes_take_no_memory_each_while_they_are_listed(
         return found
 
     peaks(20)
-    few, many = peaks(200), peaks(800)
-    grown = [(after - before) / 600 for before, after in zip(few, many, strict=True)]
+    few, many = peaks(100), peaks(400)
+    grown = [(after - before) / 300 for before, after in zip(few, many, strict=True)]
     assert max(grown) < 1000, grown
 
 
