@@ -101,6 +101,7 @@ def complaints(root: Path) -> list[str]:
     return found
 
 
+@pytest.mark.soak  # collecting everything takes a quarter of a minute
 def test_every_test_of_the_repository_is_run(repository: Path) -> None:
     tests, files = written(repository)
     assert len(files) > 150

@@ -72,6 +72,7 @@ def test_by_default_everyone_draws_the_same(project: Path, repository: Path) -> 
     assert drawn(project, repository, "-k", "two")[0].splitlines() == one
 
 
+@pytest.mark.soak  # ten seconds and more: each run is a process of its own
 def test_fresh_draws_differ_and_can_be_repeated(project: Path, repository: Path) -> None:
     first, said = drawn(project, repository, "--draws", "fresh", CI="true")
     second, _ = drawn(project, repository, "--draws", "fresh", CI="true")
@@ -82,6 +83,7 @@ def test_fresh_draws_differ_and_can_be_repeated(project: Path, repository: Path)
     assert sorted(drawn(project, repository, "--draws", seed, "-n", "2")[0].splitlines()) == sorted(first.splitlines())
 
 
+@pytest.mark.soak  # ten seconds and more: each run is a process of its own
 def test_each_round_has_a_seed_of_its_own(project: Path, repository: Path) -> None:
     rounds, said = drawn(project, repository, "--draws", "7", "--rounds", "3")
     assert "9 passed" in said
