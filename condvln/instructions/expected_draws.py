@@ -61,7 +61,8 @@ class ExpectedDraws:
     group_of_form (f,) : group of predicates in the room to which a form belongs. Statements of presence are a group and
         a form of their own
     room_of_group (g,), scene_of_room (r,) : room of a group, and scene of a room
-    group_weights (g,), room_weights (r,) : how often a group is used in its room, and a room in its scene
+    group_weights (g,), room_weights (r,) : how often a group is used in its room, and a room in its scene, relative to
+        the others there of which something can be asked
     presence (g,) : how often conditions about the room are of presence, if the group is that; else 0
     """
 
@@ -83,15 +84,21 @@ class ExpectedDraws:
         self._scene_of_room = scene_of_room
         self._group_weights, self._presence, self._room_weights = group_weights, presence, room_weights
 
-    def of_scenes(self, drawn: F64) -> tuple[I64, F64]:
-        """Return, for each scene in which a statement occurs, the number of the statement and the excess of its true
-        draws there. `drawn` (n,) are the draws of each occurrence.
+    def of_scenes(self, drawn: F64) -> tuple[I64, F64, F64]:
+        """Return, for each scene in which a statement occurs, the number of the statement, the excess of its true draws
+        there, and the weight of the room that it is about (of several the largest), as a part of the largest weight in
+        the scene. `drawn` (n,) are the draws of each occurrence.
         """
-        scene = self._scene_of_room[self._room_of_group][self._group_of_form][self._form]
-        scenes = int(scene.max(initial=0)) + 1
+        room = self._room_of_group[self._group_of_form][self._form]
+        scene, scenes = self._scene_of_room[room], int(self._scene_of_room.max(initial=0)) + 1
+        weights = np.where(np.bincount(room, drawn, len(self._room_weights)) > 0, self._room_weights, 0.0)
+        most = np.zeros(scenes)
+        np.maximum.at(most, self._scene_of_room, weights)
         places, place = np.unique((self.code >> 1).astype(np.int64) * scenes + scene, return_inverse=True)
         excess: F64 = np.bincount(place, np.where(self.code & 1, drawn, -drawn), len(places)).astype(np.float64)
-        return places // scenes, excess
+        counted = np.zeros(len(places))
+        np.maximum.at(counted, place, _parts(weights[room], most[scene]))
+        return places // scenes, excess, counted
 
     def expected(self, weights: F64) -> F64:
         """Return the expected draws of each occurrence if the occurrences have `weights`, per condition of its scene,
@@ -103,20 +110,22 @@ class ExpectedDraws:
         masses = np.bincount(self._group_of_form, mass, len(self._room_of_group))
         rooms, there = self._room_of_group, masses > 0
         of_room = np.bincount(rooms, self._group_weights * there, len(self._room_weights))[rooms]
-        used = self._group_weights * np.minimum(1.0, masses / FULL_MASS) * there
-        used = np.divide(used, of_room, out=np.zeros_like(used), where=of_room > 0)
+        used = _parts(self._group_weights * np.minimum(1.0, masses / FULL_MASS) * there, of_room)
         asked = self._presence * np.minimum(1.0, masses)
         share = np.bincount(rooms, asked, len(self._room_weights))[rooms]
         chance = np.where(self._presence > 0, asked, (1.0 - share) * used)
-        whole = np.bincount(rooms, chance, len(self._room_weights))[rooms]
-        rate = np.divide(
-            self._room_weights[rooms] * chance, masses * whole, out=np.zeros_like(chance), where=masses * whole > 0
-        )
-        own = sums.ravel()[key]
-        found: F64 = np.divide(
-            weights * (mass * rate[self._group_of_form])[self._form], own, out=np.zeros_like(own), where=own > 0
-        )
-        return found
+        whole = np.bincount(rooms, chance, len(self._room_weights))
+        # A room of which nothing can be asked leaves its part to the others.
+        asked_about = np.where(whole > 0, self._room_weights, 0.0)
+        room_share = _parts(asked_about, np.bincount(self._scene_of_room, asked_about)[self._scene_of_room])
+        rate = _parts(room_share[rooms] * chance, masses * whole[rooms])
+        return _parts(weights * (mass * rate[self._group_of_form])[self._form], sums.ravel()[key])
+
+
+def _parts(values: F64, wholes: NDArray[Any]) -> F64:
+    """Return values divided by wholes (n,); 0 where the whole is 0."""
+    found: F64 = np.divide(values, wholes, out=np.zeros_like(values), where=wholes > 0)
+    return found
 
 
 def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 0.0) -> F64:
@@ -128,7 +137,8 @@ def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 
     excess (s,) : wanted excess of true draws over false ones, as a share of both, in parts of what a fair coin
         would make it
     added : number of scenes, with as many draws each as a statement has on average, that are added to its draws of
-        either truth, so that statements of few scenes are changed less
+        either truth, so that statements of few scenes are changed less. A scene counts less where little is asked about
+        the room (`ExpectedDraws.of_scenes`)
     """
     if isinstance(blocks, Iterator):
         raise TypeError("blocks are iterated over many times, which an iterator can't be")
@@ -143,7 +153,7 @@ def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 
         false, true = drawn[0::2], drawn[1::2]
         total = false + true
         least = LEAST_SHARE * total + np.finfo(np.float64).tiny
-        more = added * total / np.maximum(scenes, 1)
+        more = added * total / np.maximum(scenes, 1.0)
         wanted_true, wanted_false = (np.maximum(total * (1.0 + sign * share) / 2.0, least) + more for sign in (1, -1))
         change = np.sqrt(
             wanted_true / (np.maximum(true, least) + more) * (np.maximum(false, least) + more) / wanted_false
@@ -152,20 +162,20 @@ def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 
     return octaves
 
 
-def _coin_share(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, I64]:
+def _coin_share(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, F64]:
     """Return √Σ d_k² / Σ |d_k| of each statement, where d_k are its draws in scene k without factors; and the number of
-    scenes in which it occurs. Both (count,).
+    scenes in which it occurs, each as much as it is asked about the room. Both (count,).
 
     With draws that have factors, statements would aim at what the factors make of them, and most draws would move to a
     few scenes.
     """
-    drawn, squares, scenes = np.zeros(2 * count), np.zeros(count), np.zeros(count, np.int64)
+    drawn, squares, scenes = np.zeros(2 * count), np.zeros(count), np.zeros(count)
     for block in blocks:
         of_block = block.expected(block.weights)
         np.add.at(drawn, block.code, of_block)
-        own, excess = block.of_scenes(of_block)
+        own, excess, counted = block.of_scenes(of_block)
         np.add.at(squares, own, excess**2)
-        np.add.at(scenes, own, 1)
+        np.add.at(scenes, own, counted)
     total = drawn[0::2] + drawn[1::2]
     found: F64 = np.divide(np.sqrt(squares), total, out=np.ones(count), where=total > 0)
     return np.minimum(found, 1.0), scenes

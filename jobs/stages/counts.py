@@ -19,7 +19,7 @@ from schemas.config import SamplingConfig, Thresholds
 __all__ = ["CountStage", "PriorsAggregate"]
 
 
-COUNTING: Final = 15
+COUNTING: Final = 16
 """Version of how statements are counted, in a scene and over all scenes."""
 
 

@@ -85,7 +85,7 @@ TECHNICAL = {
     },
     "instructions/stagings.py": {"MANY_STAGINGS"},
     "instructions/array_file.py": {"IN_MEMORY"},
-    "instructions/tilts.py": {"COIN_PART", "SCENES_ADDED"},
+    "instructions/tilts.py": {"COIN_PART", "SHARED_WORD_WEIGHT", "SCENES_ADDED"},
     # Voices of the text: wordings that mean the same, and where a sentence is split.
     "instructions/renderer.py": {
         "CHECK_SHARE",

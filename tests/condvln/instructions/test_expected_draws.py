@@ -34,6 +34,7 @@ class Occurrence(NamedTuple):
 
 
 GROUP_WEIGHTS = (0.5, 0.3, 0.0)
+ROOM_WEIGHTS = (1.0, 0.04)
 PRESENCE_SHARE = 0.25
 WEIGHTS = (0.02, 0.2, 0.5, 0.98)
 
@@ -70,15 +71,16 @@ def draws_of(rows: list[Occurrence]) -> ExpectedDraws:
         scene_of_room=scene_of_room,
         group_weights=of_each(kind, np.array(GROUP_WEIGHTS)[group]),
         presence=of_each(kind, np.where(group == PRESENCE, PRESENCE_SHARE, 0.0)),
-        room_weights=1.0 / np.bincount(scene_of_room)[scene_of_room],
+        room_weights=of_each(room, np.array(ROOM_WEIGHTS)[place]),
     )
 
 
 def defined(rows: list[Occurrence]) -> list[float]:
     """Return the draws of each occurrence by their definition.
 
-    A scene chooses a room, the room a group, the group a form by what it can be asked in either truth, the form a truth
-    by a fair coin (counted as one draw of each truth), and then a statement by its weight.
+    A scene chooses a room of which something can be asked by the room's weight, the room a group, the group a form by
+    what it can be asked in either truth, the form a truth by a fair coin (counted as one draw of each truth), and then
+    a statement by its weight.
     """
     rooms: dict[tuple[int, int], list[Occurrence]] = defaultdict(list)
     for one in rows:
@@ -100,9 +102,13 @@ def defined(rows: list[Occurrence]) -> list[float]:
                 GROUP_WEIGHTS[group] * min(1.0, masses[group] / FULL_MASS) / usable if masses[group] and usable else 0
             )
             chance[place, group] = asked if group == PRESENCE else (1 - asked) * part
-        whole = sum(chance[place, group] for group in range(3))
-        for group in range(3):
-            chance[place, group] *= 1 / whole / sum(s == place[0] for s, _ in rooms) if whole else 0
+    whole = {place: sum(chance[place, group] for group in range(3)) for place in rooms}
+    of_scene: dict[int, float] = defaultdict(float)
+    for scene, room in rooms:
+        of_scene[scene] += ROOM_WEIGHTS[room] if whole[scene, room] else 0.0
+    for (scene, room), group in chance:
+        if whole[scene, room]:
+            chance[(scene, room), group] *= ROOM_WEIGHTS[room] / of_scene[scene] / whole[scene, room]
     found = []
     for one in rows:
         room = rooms[one.scene, one.room]

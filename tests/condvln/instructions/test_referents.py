@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, meant_by, object_refs, room_refs
+from condvln.instructions.tilts import SHARED_WORD_WEIGHT, RoomWords
 from condvln.labels import vocabulary
 from condvln.labels.roles import labels_with_role
 from condvln.relations import PAIR_PREDICATES
@@ -292,6 +293,24 @@ def test_a_room_of_no_type_goes_by_what_no_other_room_of_any_type_has() -> None:
     refs = named(("other room", ["piano", "sink"], True), ("kitchen", ["sink"], True), ("porch", ["bench"], True))
     assert {r.anchor_label for r in refs["r0"]} == {"piano"}
     assert refs["r1"] == (RoomRef(room_id="r1", label="kitchen"),), "a kitchen would not be called a room of no type"
+
+
+LANDMARKS = ("piano", "bathtub", "bed", "desk", "toilet", "refrigerator")
+ROOM_TYPES = ("kitchen", "bedroom", "hallway", "entryway", "other room", "unlabelled room", "apartment", "no such room")
+
+
+@given(st.lists(st.lists(st.sampled_from(ROOM_TYPES), min_size=1, max_size=len(LANDMARKS)), min_size=1, max_size=4))
+def test_rooms_are_expected_to_be_asked_about_as_they_can_be_named(scenes: list[list[str]]) -> None:
+    """A room that only an object could tell counts as such, whether or not it has one."""
+    scene = np.repeat(np.arange(len(scenes)), [*map(len, scenes)]).astype(np.int32)
+    types = np.array([ROOM_TYPES.index(one) for own in scenes for one in own], np.int32)
+    weights = RoomWords(ROOM_TYPES, vocabulary).weights(scene, types)
+    for k, own in enumerate(scenes):
+        by_label = named(*((one, [], True) for one in own))
+        by_landmark = named(*((one, [mark], True) for one, mark in zip(own, LANDMARKS, strict=False)))
+        rooms = [f"r{number}" for number in range(len(own))]
+        wanted = [1.0 if room in by_label else SHARED_WORD_WEIGHT * (room in by_landmark) for room in rooms]
+        assert weights[scene == k].tolist() == wanted
 
 
 def test_what_a_nameless_thing_may_be_names_no_other_room() -> None:
