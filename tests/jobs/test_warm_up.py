@@ -59,7 +59,7 @@ regression.newton_direction = lambda *arguments: fitted.append(1) or direction(*
 config = Config(
     name=family, store=folder / "store", export=folder / "export",
     sources=(SourceConfig(family=family, root=folder / "data"),),
-    instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 8)),
+    instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 12)),
 )
 report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
 assert report.exit_code == 0, report.lines

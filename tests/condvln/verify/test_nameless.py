@@ -13,6 +13,7 @@ import pytest
 from condvln.scene import Room, Scene, SceneObject, round_mm
 from condvln.verify.certificate import Certificate
 from condvln.verify.files import Row
+from condvln.verify.predicates import DIRECTIONS
 from condvln.verify.referents import SceneReferents
 from condvln.verify.slices import left_apart
 from condvln.verify.surfaces import Shapes
@@ -21,6 +22,10 @@ from condvln.verify.words import words
 
 LEAST = 0.99
 """Share of the mutants of each kind that must be caught."""
+AWAY = 1.5
+"""Metres from an anchor to a thing in a direction of it."""
+WAYS = {"near": (0, 0, 0)} | {name: (east, 0, -north) for name, (east, north) in DIRECTIONS.items()}
+"""Where a thing stands that has a relation to an anchor, (x, y, z)."""
 
 
 def problems(row: Row, scene: Scene, made_export, shapes: Shapes) -> set[str]:
@@ -46,12 +51,12 @@ def nameless(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
         if condition.qualifier is None:
             place = next(o for o in scene.objects if o.room_id == room and o.box is not None)
             yield "absence of what a nameless thing may be", with_thing(scene, room, "no such type", place.center, side)
-        elif condition.qualifier.predicate == "near":
-            anchor = scene.object_of[condition.qualifier.anchor_ids[0]]
-            yield (
-                "a relation that a nameless thing may be in",
-                with_thing(scene, room, "no such type", anchor.center, side),
+        elif condition.qualifier.predicate in WAYS:
+            way = np.array(WAYS[condition.qualifier.predicate])
+            place = scene.object_of[condition.qualifier.anchor_ids[0]].center + AWAY * way / max(
+                np.hypot(*way[[0, 2]]), 1
             )
+            yield "a relation that a nameless thing may be in", with_thing(scene, room, "no such type", place, side)
 
 
 def cut(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
@@ -86,11 +91,13 @@ def cut(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
         yield "a piece of one object", replace(scene, rooms=rooms, objects=(*others, item, rest))
 
 
-def denies_near(row: Row) -> bool:
-    """Whether a text says that nothing of a label is near something: few do, and each is tried."""
+def denies_a_relation(row: Row) -> bool:
+    """Whether a text says that nothing of a label is near something, or in a direction of it: few do, and each is
+    tried.
+    """
     conditions = row.manifest.program.conditions
     return any(
-        c.qualifier is not None and c.qualifier.predicate == "near" for c in conditions if not (c.truth or c.definite)
+        c.qualifier is not None and c.qualifier.predicate in WAYS for c in conditions if not (c.truth or c.definite)
     )
 
 
@@ -101,7 +108,7 @@ def check(made_export, every: int) -> None:
         scene = made_export.scenes[run.scene_id]
         shapes = Shapes(scene.root)
         for number, row in enumerate(run.rows):
-            if number % every and not denies_near(row):
+            if number % every and not denies_a_relation(row):
                 continue
             assert not problems(row, scene, made_export, shapes)
             for kind, mutant in nameless(row, scene):
