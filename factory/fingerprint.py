@@ -10,19 +10,24 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from factory.local_store import LocalStore
 from factory.pipeline import Pipeline
 from factory.run import run
 from factory.snapshot import Snapshot
 from factory.unit import Unit
+from schemas.canonical import digest
 from schemas.errors import ProofError
 
-__all__ = ["Drift", "Fingerprints", "compare", "fingerprints"]
+__all__ = ["ALL_UNITS", "Drift", "Fingerprints", "compare", "fingerprints"]
+
+ALL_UNITS: Final = "all units"
+"""In place of a unit id: the aggregates, in place of stages."""
 
 StageFingerprint: TypeAlias = Mapping[str, str]
-"""``key``, and the logical hash of each table."""
+"""``key``, and the logical hash of each table. The key of an aggregate is of its version, its parameters, and the rows
+that it is built from."""
 
 Fingerprints: TypeAlias = Mapping[str, Mapping[str, StageFingerprint]]
 """Fingerprints by unit id and stage; plain JSON."""
@@ -42,7 +47,8 @@ class Drift:
 
 def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[str, dict[str, str]]]:
     """Process ``units`` from scratch in this process. Return, for each unit id and stage name, the stage's key under
-    ``key`` and the hash of each of its tables under the table's name.
+    ``key`` and the hash of each of its tables under the table's name; and of each aggregate, under `ALL_UNITS`, its key
+    and the hash of its ``rows``.
 
     Raises ``ProofError`` when a unit fails.
     """
@@ -52,14 +58,22 @@ def fingerprints(pipeline: Pipeline, units: Iterable[Unit]) -> dict[str, dict[st
         if report.failures:
             unit_id, failure = report.failures[0]
             raise ProofError(f"{unit_id} failed in {failure.stage}: {failure.exception}: {failure.message}")
-        index = Snapshot.open(store).index()
-        return {
+        snapshot = Snapshot.open(store)
+        index = snapshot.index()
+        found = {
             receipt.unit_id: {
                 stage.stage: {"key": stage.key.hex(), **{table.table: table.hash.hex() for table in stage.tables}}
                 for stage in receipt.stages
             }
             for receipt in index.receipts(range(len(index)), pipeline)
         }
+    aggregates = {}
+    for one in pipeline.aggregates:
+        rows = {unit_id: stages[one.after] for unit_id, stages in found.items() if one.after in stages}
+        read = {unit_id: [tables.get(name) for name in one.tables] for unit_id, tables in rows.items()}
+        key = digest({"version": one.version, "parameters": one.parameters(), "read": read})
+        aggregates[one.name] = {"key": key, "rows": snapshot.manifest.aggregates[one.name]}
+    return {**found, ALL_UNITS: aggregates} if aggregates else found
 
 
 def compare(golden: Fingerprints, found: Fingerprints) -> Drift:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -11,7 +11,7 @@ import pytest
 import toys
 
 from factory import StageOutput, Unit
-from factory.fingerprint import compare, fingerprints
+from factory.fingerprint import ALL_UNITS, compare, fingerprints
 from schemas.errors import ProofError
 
 
@@ -24,6 +24,26 @@ class Louder(toys.Word):
         loud = [text.upper() for text in output.tables["texts"]["text"].to_pylist()]
         output.tables["texts"] = pa.table({"unit": [unit.unit_id], "text": loud}, schema=toys.TEXTS)
         return output
+
+
+@dataclass(frozen=True)
+class OneMore(toys.Total):
+    """The aggregate after a change of its code."""
+
+    def build(self, tables: Iterator[tuple[str, Mapping[str, pa.Table]]]) -> pa.Table:
+        return pa.table({"total": [1 + super().build(tables)["total"][0].as_py()]})
+
+
+def test_a_changed_aggregate_without_a_new_version_is_named() -> None:
+    golden = json.loads(json.dumps(fingerprints(toys.pipeline(), toys.units(3))))
+    forgotten = compare(golden, fingerprints(toys.pipeline(total=OneMore()), toys.units(3)))
+    assert f"{ALL_UNITS}: total" in forgotten.unbumped
+    raised = compare(golden, fingerprints(toys.pipeline(total=OneMore(version=2)), toys.units(3)))
+    assert f"{ALL_UNITS}: total" not in raised.unbumped
+    assert f"{ALL_UNITS}: total" in raised.outdated
+    followed = compare(golden, fingerprints(toys.pipeline(), toys.units(4)))
+    assert f"{ALL_UNITS}: total" in followed.outdated, "other inputs, other rows"
+    assert followed.unbumped == ()
 
 
 def test_a_change_without_a_new_version_is_named() -> None:
