@@ -24,8 +24,8 @@ LEAST = 0.99
 """Share of the mutants of each kind that must be caught."""
 AWAY = 1.5
 """Metres from an anchor to a thing in a direction of it."""
-WAYS = {"near": (0, 0, 0)} | {name: (east, 0, -north) for name, (east, north) in DIRECTIONS.items()}
-"""Where a thing stands that has a relation to an anchor, (x, y, z)."""
+WAYS = {"near": (0, 0), **DIRECTIONS}
+"""(east, north) of where a thing stands that has a relation to an anchor."""
 
 
 def problems(row: Row, scene: Scene, made_export, shapes: Shapes) -> set[str]:
@@ -52,10 +52,9 @@ def nameless(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
             place = next(o for o in scene.objects if o.room_id == room and o.box is not None)
             yield "absence of what a nameless thing may be", with_thing(scene, room, "no such type", place.center, side)
         elif condition.qualifier.predicate in WAYS:
-            way = np.array(WAYS[condition.qualifier.predicate])
-            place = scene.object_of[condition.qualifier.anchor_ids[0]].center + AWAY * way / max(
-                np.hypot(*way[[0, 2]]), 1
-            )
+            east, north = WAYS[condition.qualifier.predicate]
+            step = np.array([east, 0.0, -north]) * AWAY / max(np.hypot(east, north), 1.0)
+            place = scene.object_of[condition.qualifier.anchor_ids[0]].center + step
             yield "a relation that a nameless thing may be in", with_thing(scene, room, "no such type", place, side)
 
 
