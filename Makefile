@@ -30,12 +30,12 @@ lint: $(VENV)/.ready  ## style, types, the import contract, nothing newer than P
 	$(BIN)/lint-imports
 	$(BIN)/vermin --quiet --no-tips --violations -t=3.10- schemas condvln factory jobs
 
-test: lint  ## lint, types, contracts and tests (under ten minutes)
+test: lint  ## lint, types, contracts and tests (about a quarter of an hour on two cores)
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not soak"
 
 soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
 	$(BIN)/python -m pytest -n $(WORKERS) -m "soak or costly" --draws $(DRAWS)
-	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 20
+	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 6
 
 # Heavy packages, over those of $(VENV), in an environment of their own: their pins contradict those of the tests.
 $(VENV)-agents/.ready: requirements-agents.lock $(VENV)/.ready

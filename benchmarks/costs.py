@@ -20,17 +20,15 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import nnls
 
-from condvln.compiled import warm_up
 from condvln.sources.source import SceneCounts
-from factory.costs import CostModel
 from factory.executor import InlineExecutor
 from factory.index import Index
-from factory.local_store import LocalStore
-from factory.machine import probe, slowness
+from factory.planner import CostModel
 from factory.receipt import Receipt
-from factory.report import Silence
+from factory.report import Progress
 from factory.run import run
-from factory.unit import Unit
+from factory.stage import Unit
+from factory.store import LocalStore
 from jobs.costs import COEFFICIENTS, FEATURES, counts_of
 from jobs.pipeline import build_pipeline, list_units, open_configured
 from jobs.workspace import file_hashes, hasher
@@ -70,7 +68,7 @@ class FirstRun:
         return sum(self.expected[stage] for stage in stages) / spent if spent else float("nan")
 
 
-class _Listener(Silence):
+class _Listener(Progress):
     def __init__(self, found: FirstRun) -> None:
         self._found = found
 
@@ -103,7 +101,6 @@ def first_run(family: str, root: Path, asked: int, folder: Path, scenes: int) ->
     handles = open_configured(config, config.sources[0], hashes).handles()
     found = FirstRun(family, units, {f"{family}/{h.scene_id}": h.counts for h in handles})
     pipeline = build_pipeline(config)
-    slowness()  # measured before the run, so that its time is not counted
     model = CostModel(Index.empty(pipeline), pipeline)
     found.expected = {s.name: sum(model.stage_seconds(u, -1, s.name) for u in units) for s in pipeline.stages}
     found.estimate = sum(found.expected.values())
@@ -133,16 +130,15 @@ def main() -> None:
     """
     console = Console(width=160)
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "24"))
-    warm_up(lambda message: None)
-    console.print(f"probe: {probe():.4f} CPU s on this machine (REFERENCE_PROBE_SECONDS in factory/machine.py)")
     judged = Table(title="Estimates before the first run ÷ CPU seconds that its stages took")
     for column in ("family", "a category", "CPU s", "all stages", *FEATURES):
         judged.add_column(column)
     table = Table(title="CPU seconds for one of each count")
-    for column in ("family", "stage", "counts", "fitted here", "in use × slowness", "scenes"):
+    for column in ("family", "stage", "counts", "fitted here", "in use", "scenes"):
         table.add_column(column)
     with tempfile.TemporaryDirectory() as name:
         for family, root in real_families().items():
+            first_run(family, root, ASKED[0], Path(name) / "kernels", 1)  # compiles and loads kernels
             runs = [
                 (len(CATEGORIES) * asked + 8, first_run(family, root, asked, Path(name), scenes)) for asked in ASKED
             ]
@@ -151,8 +147,9 @@ def main() -> None:
                 judged.add_row(family, str(asked), f"{found.spent(*FEATURES):.1f}", *ratios)
             for stage, features in FEATURES.items():
                 fitted, count = _fit(runs, stage)
-                used = [value * slowness() for value in COEFFICIENTS[family][stage]]
-                numbers = (", ".join(f"{value:.4f}" for value in values) for values in (fitted, used))
+                numbers = (
+                    ", ".join(f"{value:.4f}" for value in values) for values in (fitted, COEFFICIENTS[family][stage])
+                )
                 table.add_row(family, stage, ", ".join(features), *numbers, str(count))
     console.print(judged)
     console.print(table)

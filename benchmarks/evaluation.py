@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from fastdtw import fastdtw
 
-from condvln.compiled import warm_up
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.measures import ndtw, without_repeats
@@ -36,7 +35,6 @@ LOOPED = 25
 def main() -> None:
     """Print the figures of one run."""
     episodes = int(sys.argv[1]) if len(sys.argv) > 1 else EPISODES
-    warm_up(lambda line: None)
     with tempfile.TemporaryDirectory() as folder:
         pathfinders = _floors(Path(folder))
         tasks = [_task(number, pathfinders) for number in range(episodes)]

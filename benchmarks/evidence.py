@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from condvln.evaluation.stepped_episode import heading_of
+from condvln.evaluation.walker import heading_of
 from condvln.samples import make_samples
 from condvln.sources.registry import open_source
 from condvln.world import World, label_priors, open_world

@@ -23,9 +23,8 @@ import pyarrow as pa
 from isal import igzip
 
 from condvln.episodes.identity import numeric_id
-from condvln.export.rows import rows_of
 from condvln.export.snapshot import export_snapshot
-from condvln.export.tables import MemoryTables
+from condvln.export.tables import MemoryTables, rows_of
 from condvln.export.tokens import Vocabulary
 from condvln.export.vlnce import ground_truth, scene_file, vlnce_episode
 from condvln.formats.streams import GZIP_LEVEL
@@ -92,7 +91,7 @@ def main() -> None:
     tables = Repeated(scene, -(-episodes // PER_SCENE))
     with tempfile.TemporaryDirectory() as folder:
         wall, cpu = time.perf_counter(), time.process_time()
-        report = export_snapshot(tables, Path(folder), oracle_texts=linear_text)
+        report = export_snapshot(tables, Path(folder), oracle_text=linear_text)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         size = sum(file.bytes for file in report.files.values()) / 1e6
     pool = tables.scenes * PER_SCENE

@@ -26,9 +26,9 @@ from typing import Any, Final
 import numpy as np
 
 from condvln.evaluation.agents import AGENTS
+from condvln.evaluation.aggregate import estimate
 from condvln.evaluation.looker import LookingAgent
 from condvln.evaluation.score import score
-from condvln.evaluation.statistics import estimate
 from condvln.evaluation.task import Task, task_of
 from condvln.samples import make_samples
 from condvln.sources.registry import open_source

@@ -27,14 +27,12 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.costs import real_families
-from condvln.compiled import warm_up
 from condvln.samples import make_samples
 from factory.executor import InlineExecutor
-from factory.local_store import LocalStore
-from factory.machine import slowness
 from factory.receipt import Receipt
-from factory.report import Silence
+from factory.report import Progress
 from factory.run import run
+from factory.store import LocalStore
 from jobs.export import run_export
 from jobs.pipeline import build_pipeline, list_units
 from jobs.verify import verify_export
@@ -79,7 +77,7 @@ class Cost:
 
 
 @dataclass
-class _Listener(Silence):
+class _Listener(Progress):
     cost: Cost
 
     def unit(self, receipt: Receipt) -> None:
@@ -100,7 +98,6 @@ def _cpu(work: Callable[[], object]) -> float:
 
 def cost_of(family: Family, root: Path, folder: Path, scenes: int, asked: int) -> Cost:
     """Run `scenes` scenes of a family, spread evenly, from an empty store in `folder` to verified episodes."""
-    warm_up(lambda message: None)
     source = SourceConfig(family=family, root=root)
     # The gate judges whole datasets; a few scenes may fail it.
     config = Config(
@@ -116,7 +113,6 @@ def cost_of(family: Family, root: Path, folder: Path, scenes: int, asked: int) -
     chosen = tuple(sorted(unit.unit_id.partition("/")[2] for unit in units))
     config = config.model_copy(update={"sources": (source.model_copy(update={"scenes": chosen}),)})
     cost = Cost(len(units))
-    slowness()  # measured before the run, so that its time is not counted
     pipeline, store, heard = build_pipeline(config), LocalStore(folder / "store"), _Listener(cost)
     cost.generate = _cpu(lambda: run(pipeline, units, store, family, InlineExecutor(), progress=heard))
     cost.episodes = published(config).manifest.tables["episodes"].rows
@@ -156,7 +152,7 @@ def _measured(families: Sequence[Family], scenes: int, asked: int) -> dict[str, 
 
 
 def _print_parts(console: Console, costs: dict[str, Cost]) -> None:
-    table = Table(title=f"CPU ms an episode (this machine: {slowness():.2f} × the reference's time)")
+    table = Table(title="CPU ms an episode")
     parts = list(dict.fromkeys(name for cost in costs.values() for name in cost.parts()))
     for column in ("family", "scenes", "episodes", *parts, "all", "peak, MiB"):
         table.add_column(column, justify="right")

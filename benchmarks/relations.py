@@ -23,8 +23,7 @@ from condvln.relations import (
     relate_room,
     text_facts,
 )
-from condvln.relations.solids import MeshSolid
-from condvln.relations.surface import solid_distance
+from condvln.relations.solids import MeshSolid, solid_distance
 from condvln.scene import RoomArrays, SceneObject, round_mm
 from condvln.scene.meshes import WorldMesh
 from schemas.config import Thresholds

@@ -2,7 +2,7 @@
 
 ``python -m benchmarks trajectories`` prints three tables. The first two compare the CPU time of writing walks
 (rendering, encoding, hashing, files, rows) with that of observing the same poses through the same cameras as an agent
-does, with arrays and no files: first walks without a repeated pose, then the gold and recovery walks of made episodes,
+does, with arrays and no files: first walks without a repeated pose, then direct and recovery walks of made episodes,
 which share many poses. The third makes the same recipe with one and with two Ray workers, by the clock: it needs a
 quiet machine with two cores. Before it, two processes without Ray write images at the same time, and then one alone:
 two cores that share caches, memory or a clock do less than twice as much, and no scheduler can do more. Targets: at
@@ -36,16 +36,23 @@ from condvln.sources.registry import open_source
 from condvln.sources.source import hash_file
 from condvln.trajectories.cameras import hub_cameras
 from condvln.trajectories.images import ImageWriter, image_path
-from condvln.trajectories.tables import point_of, vector
+from condvln.trajectories.walks import point_of, vector
 from condvln.world import open_world
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.stages.trajectories import WalkStage
 from jobs.trajectories import Request, make_trajectories
-from jobs.trajectory_units import find_target, list_units
-from schemas.config import CameraConfig, Config, Family, InstructionsConfig, SourceConfig, TrajectoryConfig
+from jobs.trajectory_units import find_split, list_units
+from schemas.config import (
+    CameraConfig,
+    Config,
+    Family,
+    InstructionsConfig,
+    SourceConfig,
+    TrajectoryConfig,
+)
 from schemas.program import CATEGORIES
-from schemas.trajectory_tables import LEFT_OUT, POSES, STEPS, TRAJECTORIES
+from schemas.tables import LEFT_OUT, POSES, STEPS, TRAJECTORIES
 
 ROUNDS: Final = 3
 WALKS: Final = 4
@@ -66,7 +73,7 @@ def walked(scene_id: str, pathfinder: Any, walks: int, frames: int) -> list[Row]
     pathfinder.seed(1)
     rows = []
     for number in range(walks):
-        base: Row = {"scene_id": scene_id, "trajectory": f"{scene_id.replace('/', '-')}_{number}", "kind": "gold"}
+        base: Row = {"scene_id": scene_id, "trajectory": f"{scene_id.replace('/', '-')}_{number}", "kind": "direct"}
         base |= {"episode_id": number, "leaf": 0, "looks_for": None, "distance_to_goal": 0.0}
         for frame in range(frames):
             if frame % 24 == 0:
@@ -115,7 +122,7 @@ def compared(
 
 
 def made_walks(folder: Path, family: Family) -> list[pa.Table]:
-    """Return ``steps`` of the gold and recovery walks of episodes in a made scene, in a list of its own."""
+    """Return ``steps`` of the direct and recovery walks of episodes in a made scene, in a list of its own."""
     instructions = InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY))
     config = Config(
         name="walks",
@@ -126,10 +133,10 @@ def made_walks(folder: Path, family: Family) -> list[pa.Table]:
     )
     run_generate(config, inline=True)
     export_snapshot_of(config)
-    walks = TrajectoryConfig(walks=("gold", "recovery"))
+    walks = TrajectoryConfig(walks=("direct", "recovery"))
     found = []
     for manifest in manifest_paths(folder / f"{family}-export"):
-        target = find_target(str(folder / f"{family}-export"), manifest.stem, scenes=(f"{family}={folder / family}",))
+        target = find_split(str(folder / f"{family}-export"), manifest.stem, scenes=(f"{family}={folder / family}",))
         for unit in list_units(target, hub_cameras("streamvln", ()), walks, hash_file):
             found.append(WalkStage(walks).run(unit, {}, {}).tables["steps"])
     return [pa.concat_tables(found)] if found else []
@@ -177,7 +184,7 @@ def write_recipe(folder: Path, data: Path) -> None:
             "scene_id": scene_id,
             "trajectory": name,
             "episode_id": number,
-            "kind": "gold",
+            "kind": "direct",
             "source": "procthor",
         }
         walk |= {"instruction_text": "", "frames_of": name, "n_frames": LONG, "actions": actions, "executed": actions}

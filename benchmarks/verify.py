@@ -26,10 +26,8 @@ from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from condvln.verify import Surfaces, VerifierRules, proof, prove_export
 from condvln.verify.files import ExportFiles
-from condvln.verify.geodesics import Geodesics
 from condvln.verify.proof import SceneReader
 from condvln.verify.surfaces import Shapes
-from condvln.verify.walks import Walks
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.program import CATEGORIES
@@ -44,19 +42,18 @@ TARGET: Final = 1000
 """Target: episodes per second and core, without navmesh work."""
 
 NAVMESH: Final[tuple[tuple[Any, str], ...]] = (
-    (Geodesics, "locate"),
-    (Geodesics, "metres"),
-    (Geodesics, "routes"),
     (proof, "find_navmesh"),
     (proof, "Obstacles"),
-    (Walks, "lengths"),
+    (proof, "check_placement"),
     (proof, "check_truths"),
 )
 """Functions that query the navmesh: paths and distances, loading, the floor below furniture, and walks with discrete
 steps."""
 SIGHT: Final[tuple[tuple[Any, str], ...]] = ((proof, "sight_of"), (proof, "check_observability"))
 """Functions that compute visibility: a scene's surfaces, occluders, floors, and the ray casts themselves."""
-ASIDE: Final = ("navmesh", "sight")
+LOOKING: Final[tuple[tuple[Any, str], ...]] = ((proof, "check_looking"),)
+"""Looking paths: walks on the navmesh, and what their frames show."""
+ASIDE: Final = ("navmesh", "sight", "looking")
 """Work that has its own line in the output."""
 
 
@@ -88,10 +85,10 @@ def _measure(export: Path, root: Path) -> None:
     spent: Counter[str] = Counter()
     for _ in prove_export(export, VerifierRules(), _reader(source, source.read)):
         pass  # kernels are compiled and files cached
-    for kind, asking in zip(ASIDE, (NAVMESH, SIGHT), strict=True):
+    for kind, asking in zip(ASIDE, (NAVMESH, SIGHT, LOOKING), strict=True):
         for owner, name in asking:
             setattr(owner, name, _timed(getattr(owner, name), kind, spent))
-    setattr(Shapes, "_placed", _timed(Shapes._placed, "meshes", spent))  # noqa: B010
+    setattr(Shapes, "of", _timed(Shapes.of, "meshes", spent))  # noqa: B010
     read = _reader(source, _timed(source.read, "scenes read", spent))
     count = sum(len(run.rows) for run in ExportFiles(export).runs())
     rounds = [_round(export, read, spent) for _ in range(ROUNDS)]
@@ -105,7 +102,7 @@ def _measure(export: Path, root: Path) -> None:
     for name, seconds in [*parts.items(), ("everything else", total - known)]:
         print(f"  {name:<16} {1e6 * seconds / count:8.0f} µs an episode")
     print(f"apart from navmesh work and sight: {count / rest:,.0f} episodes a second (target {TARGET:,})")
-    print(f"apart from navmesh work: {count / (rest + parts['sight']):,.0f} episodes a second")
+    print(f"apart from navmesh work and looking paths: {count / (rest + parts['sight']):,.0f} episodes a second")
     print(f"sight by itself: {count / parts['sight']:,.0f} episodes a second")
     print(f"apart from reading scenes too: {count / (total - known):,.0f} episodes a second")
 

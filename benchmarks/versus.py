@@ -40,8 +40,11 @@ from pathlib import Path
 from rich.console import Console
 from factory.executor import InlineExecutor
 from factory.index import Index
-from factory.local_store import LocalStore
-from factory.report import Silence
+try:
+    from factory.store import LocalStore
+except ImportError:  # it stood in a file of its own
+    from factory.local_store import LocalStore
+from factory.report import Progress
 from factory.run import run
 from factory.snapshot import Snapshot
 from jobs.export import run_export
@@ -56,7 +59,7 @@ except ModuleNotFoundError:  # schemas.config was one module
     from schemas.config import SplitsConfig
 try:
     from condvln.compiled import warm_up
-except ModuleNotFoundError:  # kernels were compiled where they were first used
+except ImportError:  # kernels are compiled where they are first used
     warm_up = None
 
 family, root, folder, scenes, asked, proven = json.loads(sys.argv[1])
@@ -78,7 +81,7 @@ def timed(work):
     began = cpu()
     return work(), cpu() - began
 
-class Listener(Silence):
+class Listener(Progress):
     spent = defaultdict(float)
     failed = 0
     def unit(self, receipt):

@@ -4,13 +4,14 @@ Real scenes of a family run from an empty store to published tables, with one wo
 scenes run in one process, and beside it the other half in another. What the two halves take one after the other,
 divided by what they take side by side, is what the machine allows.
 
-CONDVLN_BENCH_FAMILIES (``procthor``), CONDVLN_BENCH_SCENES (60, spread evenly), CONDVLN_BENCH_CATEGORY (160 episodes a
-category, more than two minutes for one worker) and CONDVLN_BENCH_ADDRESS (none; ``local`` for workers of Ray) say what
-is run. Nothing else should run meanwhile.
+CONDVLN_BENCH_FAMILIES (``procthor``), CONDVLN_BENCH_SCENES (60, spread evenly) and CONDVLN_BENCH_CATEGORY (160 episodes
+a category, more than two minutes for one worker) say what is run. One worker is this process, two are Ray's, whose
+start is included. Nothing else should run meanwhile.
 """
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
 import tempfile
@@ -25,7 +26,6 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.costs import real_families
-from condvln.compiled import warm_up
 from jobs.generate import run_generate
 from jobs.pipeline import list_units
 from jobs.workspace import file_hashes, hasher, published
@@ -62,12 +62,8 @@ def _configured(family: Family, root: Path, folder: Path, asked: int, scenes: Se
 
 
 def _run(config: Config, workers: int) -> _Run:
-    """Run a configuration from an empty store with worker processes, or in this process (0)."""
-    if not workers:
-        warm_up(lambda message: None)
-    config = config.model_copy(
-        update={"ray": RayConfig(workers=workers or None, address=os.environ.get("CONDVLN_BENCH_ADDRESS"))}
-    )
+    """Run a configuration from an empty store with Ray workers, or in this process (0, 1)."""
+    config = config.model_copy(update={"ray": RayConfig(workers=workers or None, address="local")})
     began, cpu = time.perf_counter(), time.process_time()
     report = run_generate(config, inline=not workers, console=Console(quiet=True))
     seconds, driver = time.perf_counter() - began, time.process_time() - cpu
@@ -86,7 +82,7 @@ def _side_by_side(configs: Sequence[Config], at_once: int) -> float:
 
 
 def _load(number: int) -> None:
-    warm_up(lambda message: None)
+    importlib.import_module("jobs.generate")
     time.sleep(1)  # so that each process of the pool gets one
 
 

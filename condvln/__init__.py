@@ -17,6 +17,7 @@ Checks                    ``judge_export`` (bias gate) ``prove_export`` (indepen
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -24,16 +25,20 @@ if TYPE_CHECKING:
     from condvln.bias import judge_export
     from condvln.evaluation.agents import AGENTS, agent_named
     from condvln.evaluation.evaluate import Evaluation, evaluate
-    from condvln.evaluation.export_folder import Export, open_export
     from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
     from condvln.evaluation.score import Score, ScoreRules, score
+    from condvln.evaluation.split import Export, open_export
     from condvln.evaluation.task import Task, task_of
     from condvln.evaluation.walker import Observation, Policy, walk
     from condvln.instructions import LabelPriors, parse, render
-    from condvln.instructions.tree import program_tree
+    from condvln.instructions.programs import program_tree
     from condvln.labels import vocabulary
     from condvln.manifest import read_manifest
-    from condvln.navigation import Follower, NavMeshSettings, Pathfinder, build_navmesh, read_navmesh
+    from condvln.navigation.follower import Follower
+    from condvln.navigation.navmesh_file import read_navmesh
+    from condvln.navigation.pathfinder import Pathfinder
+    from condvln.navigation.recast import build_navmesh
+    from condvln.navigation.settings import NavMeshSettings
     from condvln.relations import relate_scene
     from condvln.samples import make_samples
     from condvln.scene import Room, Scene, SceneObject
@@ -105,16 +110,20 @@ _MODULES = {
     "condvln.bias": ("judge_export",),
     "condvln.evaluation.agents": ("AGENTS", "agent_named"),
     "condvln.evaluation.evaluate": ("Evaluation", "evaluate"),
-    "condvln.evaluation.export_folder": ("Export", "open_export"),
+    "condvln.evaluation.split": ("Export", "open_export"),
     "condvln.evaluation.predictions": ("Prediction", "read_predictions", "write_predictions"),
     "condvln.evaluation.score": ("Score", "ScoreRules", "score"),
     "condvln.evaluation.task": ("Task", "task_of"),
     "condvln.evaluation.walker": ("Observation", "Policy", "walk"),
     "condvln.instructions": ("LabelPriors", "parse", "render"),
-    "condvln.instructions.tree": ("program_tree",),
+    "condvln.instructions.programs": ("program_tree",),
     "condvln.labels": ("vocabulary",),
     "condvln.manifest": ("read_manifest",),
-    "condvln.navigation": ("Follower", "NavMeshSettings", "Pathfinder", "build_navmesh", "read_navmesh"),
+    "condvln.navigation.follower": ("Follower",),
+    "condvln.navigation.navmesh_file": ("read_navmesh",),
+    "condvln.navigation.pathfinder": ("Pathfinder",),
+    "condvln.navigation.recast": ("build_navmesh",),
+    "condvln.navigation.settings": ("NavMeshSettings",),
     "condvln.relations": ("relate_scene",),
     "condvln.samples": ("make_samples",),
     "condvln.scene": ("Room", "Scene", "SceneObject"),
@@ -138,3 +147,9 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+# gymnasium 1.0 and later load no plugins. One that is loaded already learns of our environment here; it is never loaded
+# for this, so that importing condvln stays cheap.
+if "gymnasium" in sys.modules:
+    import_module("condvln.evaluation.environment")

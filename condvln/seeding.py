@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import accumulate
 from typing import Final, TypeVar
 
@@ -17,13 +17,10 @@ from numpy.typing import NDArray
 __all__ = ["Draws", "FewDraws", "generator", "stable_hash"]
 
 BLOCK: Final = 4096
-"""Number of uniforms drawn at once: one call into numpy costs as much as drawing a few hundred."""
+"""Number of uniforms that `Draws` draws at once: one call into numpy costs as much as drawing a few hundred."""
 
 FEW: Final = 32
-"""Number of uniforms taken from a stream at a time."""
-
-MOST_AHEAD: Final = 16 * BLOCK
-"""Most uniforms drawn at once, unless one kernel call needs more."""
+"""Number of uniforms that `FewDraws` draws at once."""
 
 _FEW_WORDS: Final = struct.Struct(f"<{FEW}Q")
 
@@ -61,46 +58,14 @@ class Draws:
 
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator = generator
-        # The stream is read from its end: first the few that were taken from it, then what is unread.
-        self._stream, self._unread = np.empty(0), 0
-        self._few: list[float] = []
-        self._next = BLOCK
+        self._drawn: list[float] = []
+        """Uniforms that were drawn ahead, the next one last."""
 
     def uniform(self) -> float:
         """Return a float in [0, 1)."""
-        if not self._few:
-            if not self._unread:
-                self._stream, self._unread = self._generator.random(BLOCK), BLOCK
-            taken = max(0, self._unread - FEW)
-            self._few, self._unread = self._stream[taken : self._unread].tolist(), taken
-        return self._few.pop()
-
-    def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], T]) -> T:
-        """Return what `kernel` returns, which draws as this class does, from a stream (see
-        ``condvln.instructions.kernels.stream``). The kernel is called again with a longer stream as long as it asks for
-        more uniforms than there are. It reads on where it says so, by default from where it began.
-        """
-        self._unread += len(self._few)
-        self._few = []
-        if not self._unread:
-            self._longer()
-        while True:
-            left = np.array([self._unread, 0, self._unread])
-            found = kernel(self._stream, left)
-            self._unread = int(left[2 if left[1] else 0])
-            if not left[1]:
-                self._next = min(self._next, MOST_AHEAD)
-                return found
-            self._longer()
-
-    def _longer(self) -> None:
-        """Add blocks to the stream, to be read after what is left in it: each time twice as many, since a kernel whose
-        stream ended does its work again.
-        """
-        blocks = [self._generator.random(BLOCK) for _ in range(self._next // BLOCK)]
-        self._next *= 2
-        self._stream = np.concatenate([*reversed(blocks), self._stream[: self._unread]])
-        self._unread = len(self._stream)
+        if not self._drawn:
+            self._drawn = self._generator.random(BLOCK).tolist()
+        return self._drawn.pop()
 
     def index(self, n: int) -> int:
         """Return a random index below `n`. All indices are equally likely, except for a negligible bias of n · 2⁻⁵³."""
@@ -114,7 +79,7 @@ class Draws:
         """Return a random index, with probabilities in proportion to weights. `sums` are the running sums of the
         weights.
         """
-        return min(bisect_right(sums, self.uniform() * sums[-1]), len(sums) - 1)
+        return bisect_right(sums, self.uniform() * sums[-1], 0, len(sums) - 1)
 
     def weighted(self, items: Sequence[T], weights: Sequence[float]) -> T:
         """Return one of `items`, drawn with probabilities in proportion to `weights`. At least one weight must be
@@ -151,7 +116,3 @@ class FewDraws(Draws):
         begin, self._read = self._read, self._read + n
         words = np.frombuffer(self._hash.digest(8 * self._read), "<u8", offset=8 * begin)
         return np.asarray((words >> np.uint64(11)) * 2.0**-53)
-
-    def compiled(self, kernel: Callable[[NDArray[np.float64], NDArray[np.int64]], T]) -> T:
-        """Raise TypeError: a kernel reads whole blocks."""
-        raise TypeError("a kernel reads whole blocks; use Draws")

@@ -23,23 +23,23 @@ from condvln.episodes.steps import Walkable, look_around, place_programs, publis
 from condvln.episodes.table import placements_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import sightings_from_table, visibility_table
-from condvln.export.rows import rows_of
+from condvln.export.tables import rows_of
 from condvln.instructions import (
     LabelPriors,
     instruction_table,
 )
-from condvln.instructions.programs import composition
+from condvln.instructions.programs import composition, program_tree
 from condvln.instructions.referents import Referents
-from condvln.instructions.tree import program_tree
 from condvln.labels import vocabulary
 from condvln.manifest import manifest_row, published_row
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
+from condvln.navigation.sight import Recognition
 from condvln.relations import RoomRelations, TextFacts, relate_scene, text_facts, to_networkx
 from condvln.scene import Scene
-from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import MeshLibrary
+from condvln.scene.scene import SceneGeometry
 from condvln.sensors import Frame, Renderer, cameras_of, open_renderer
 from condvln.sources.source import Source
 from schemas.config import (
@@ -186,9 +186,9 @@ class World:
         places, goals, episodes = places or PlacesConfig(), goals or GoalsConfig(), episodes or EpisodeConfig()
         text, thresholds = text or TextConfig(), thresholds or Thresholds()
         scene = self.scene
-        priors = priors or label_priors([scene], thresholds=thresholds, sampling=sampling)
+        priors = priors or label_priors([scene], thresholds=thresholds, sampling=sampling, places=places)
         walkable = Walkable(self.pathfinder, self.view, self.agent.max_climb)
-        seen = look_around(scene, walkable, eye_height=places.eye_height, island_radius=places.island_radius)
+        seen = look_around(scene, walkable, places, Recognition.of(places, episodes))
         sightings = sightings_from_table(visibility_table(scene, seen))
         placed = place_programs(
             scene,
@@ -199,6 +199,7 @@ class World:
                 sampling.predicates,
                 instructions.directions,
                 sampling.label_only(scene.single_room),
+                places,
             ),
             walkable,
             sightings,
@@ -292,10 +293,11 @@ def label_priors(
     thresholds: Thresholds | None = None,
     sampling: SamplingConfig | None = None,
     directions: str = "compass",
+    places: PlacesConfig | None = None,
 ) -> LabelPriors:
     """Count over scenes which labels are usual in which room types, and how often statements about such rooms are
     true.
     """
     thresholds, sampling = thresholds or Thresholds(), sampling or SamplingConfig()
     counts = ((one.family, LabelPriors.of_scene(one, thresholds, sampling.anchor_size)) for one in scenes)
-    return LabelPriors.of_corpus(counts, sampling, directions)
+    return LabelPriors.of_corpus(counts, sampling, directions, places or PlacesConfig())

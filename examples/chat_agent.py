@@ -1,7 +1,8 @@
 """A language model as an agent on a split, over any OpenAI-compatible endpoint.
 
-    python examples/chat_agent.py EXPORT SPLIT FAMILY=FOLDER http://localhost:8000/v1 MODEL predictions.json
+    python examples/chat_agent.py EXPORT SPLIT FAMILY=FOLDER... http://localhost:8000/v1 MODEL predictions.json
 
+Name the dataset of each family of scenes in the split; episodes of other families are left out, and counted.
 The endpoint's key is read from OPENAI_API_KEY where that is set. `condvln evaluate` scores the file.
 Only the standard library is used beside condvln.
 """
@@ -12,10 +13,12 @@ import json
 import os
 import sys
 import urllib.request
+from collections import Counter
 from typing import Any
 
+from condvln.evaluation.environment.tools import EpisodeTools, tools_for
 from condvln.evaluation.predictions import Prediction, write_predictions
-from condvln.evaluation.tools import EpisodeTools, tools_for
+from condvln.evaluation.split import open_export
 from schemas.errors import CondVLNError
 
 TURNS = 80
@@ -82,10 +85,16 @@ def answer_of(episode: EpisodeTools, function: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    export, split, dataset, endpoint, model, out = sys.argv[1:]
-    family, _, folder = dataset.partition("=")
-    tools = tools_for(export, split, {family: folder})
-    walks = (follow(tools(), name, endpoint, model) for name in tools.episode_ids)
+    if len(sys.argv) < 7 or not all("=" in dataset for dataset in sys.argv[3:-3]):
+        sys.exit(__doc__)
+    export, split, *datasets, endpoint, model, out = sys.argv[1:]
+    folders = dict(dataset.split("=", 1) for dataset in datasets)
+    families = {task.episode_id: str(task.axes["source"]) for task in open_export(export).tasks(split)}
+    unseen = Counter(family for family in families.values() if family not in folders)
+    for family, episodes in sorted(unseen.items()):
+        print(f"{episodes} episodes of {family} are left out: name its dataset, {family}=FOLDER")
+    tools = tools_for(export, split, folders)
+    walks = (follow(tools(), name, endpoint, model) for name in tools.episode_ids if families[name] in folders)
     count = write_predictions(out, walks)
     print(f"{count} predictions in {out}")
 

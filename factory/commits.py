@@ -1,42 +1,51 @@
 """Committed outputs of stages, and records of stages that failed.
 
-``units/<stage>/<key[:2]>/<key>/tables.arrows.zst``, further files beside it, and ``unit.json`` last: a key whose
-``unit.json`` is there is done. ``quarantine/<stage>/<key>.json`` says why one is not. Earlier releases wrote each table
-as ``<table>.parquet``, which is still read.
+``units/<stage>/<key[:2]>/<key>/<table>.parquet``, further files beside them, and ``unit.json`` last: it holds the
+SHA-256 and the size of each file, and a key whose ``unit.json`` is there is done. ``quarantine/<stage>/<key>.json``
+says why one is not.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final, TypeVar
 
+import orjson
 import pyarrow as pa
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from factory.faults import FaultPlan
-from factory.kept_tables import KeptTables
-from factory.rows import logical_hash, parquet_table
-from factory.seal import sealed, unsealed
-from factory.shard import SHARD_FILE, shard_bytes, shard_table
+from factory.rows import parquet_bytes, parquet_table
 from factory.store import Store
+from schemas.canonical import digest
 from schemas.errors import CorruptShardError
-from schemas.unit import QuarantineRecord, ShardRecord, TableRecord, UnitCommit
+from schemas.unit import FileRecord, QuarantineRecord, TableRecord, UnitCommit
 
-__all__ = ["LISTING", "REBUILD_VERIFIED", "UNIT_FILE", "Commits", "Committed"]
+__all__ = [
+    "LISTING",
+    "REBUILD_VERIFIED",
+    "UNIT_FILE",
+    "Commits",
+    "Committed",
+    "sealed",
+    "table_file",
+    "unsealed",
+    "verified",
+]
 
 LISTING = "listing"
 """Stage name under which units are quarantined that could not even be listed."""
 
-REBUILD_VERIFIED: Final = "Run condvln rebuild CONFIG --verify, which rebuilds damaged files."
+REBUILD_VERIFIED: Final = "Run condvln generate CONFIG --verify, which rebuilds damaged files."
 """The remedy for every damaged file that can be rebuilt."""
-
-PARQUET: Final = ".parquet"
-"""End of the names of tables that earlier releases committed."""
 
 UNIT_FILE: Final = "unit.json"
 """File name of the commit of a unit's stage. It is written last."""
+
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +60,15 @@ class Committed:
 
 
 class Commits:
-    """The units and the quarantine of one store.
+    """The units and the quarantine of one store."""
 
-    kept : tables that this process made, so that it need not read them
-    """
-
-    def __init__(self, store: Store, faults: FaultPlan | None = None, kept: KeptTables | None = None) -> None:
+    def __init__(self, store: Store) -> None:
         self.store = store
-        self._faults = faults or FaultPlan()
-        self._kept = kept or KeptTables()
 
     @staticmethod
     def folder(stage: str, key: str) -> str:
         """Return the folder that holds the files of a key."""
         return f"units/{stage}/{key[:2]}/{key}"
-
-    def exists(self, stage: str, key: str) -> bool:
-        """Whether the stage was committed under this key."""
-        return self.store.exists(f"{self.folder(stage, key)}/unit.json")
 
     def committed(self) -> Iterator[tuple[str, str]]:
         """Yield (stage, key) of every commit."""
@@ -85,21 +85,29 @@ class Commits:
         """
         folder = self.folder(stage, key)
         try:
-            data = self.store.read(f"{folder}/{UNIT_FILE}")
+            commit, size = self._read(stage, key)
         except FileNotFoundError:
             return None
-        try:
-            commit = unsealed(UnitCommit, data)
         except ValueError:
-            commit = None
-        if commit is not None and (commit.key, commit.stage) == (key, stage):
+            pass
+        else:
             sizes = {entry.path.rpartition("/")[2]: entry.size for entry in self.store.list(folder)}
             records = _files(commit)
             if all(sizes.get(name) == record.bytes for name, record in records.items()):
-                return Committed(commit, len(data) + sum(record.bytes for record in records.values()))
+                return Committed(commit, size + sum(record.bytes for record in records.values()))
         if discard:
             self.discard(stage, key)
         return None
+
+    def _read(self, stage: str, key: str) -> tuple[UnitCommit, int]:
+        """Return (the commit under this key, bytes of its file). Raises ``FileNotFoundError`` where there is none,
+        ``ValueError`` where it is damaged.
+        """
+        data = self.store.read(f"{self.folder(stage, key)}/{UNIT_FILE}")
+        commit = unsealed(UnitCommit, data)
+        if (commit.key, commit.stage) != (key, stage):
+            raise ValueError("it is the commit of another key")
+        return commit, len(data)
 
     def damaged_file(self, stage: str, key: str) -> str | None:
         """Return the path of the first file of a commit whose bytes differ from the hash in the commit, or None if all
@@ -111,7 +119,7 @@ class Commits:
             return f"{folder}/{UNIT_FILE}"
         for name, record in _files(found.commit).items():
             try:
-                self._verified(f"{folder}/{name}", record.sha256)
+                verified(self.store, f"{folder}/{name}", record.sha256)
             except CorruptShardError:
                 return f"{folder}/{name}"
         return None
@@ -122,81 +130,48 @@ class Commits:
         tables : canonical tables, whose ``rows`` and ``logical_hash`` are in ``commit`` already
         """
         folder = self.folder(commit.stage, commit.key)
-        self._faults.reach("unit-before-data")
         records: dict[str, TableRecord] = {}
-        parts: list[bytes] = []
         for name, table in tables.items():
-            data = shard_bytes(name, table, commit.tables[name].logical_hash)
-            parts.append(data)
-            records[name] = commit.tables[name].model_copy(
-                update={"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
-            )
-        whole: ShardRecord | None = None
-        if parts:
-            shard = b"".join(parts)
-            self.store.write(f"{folder}/{SHARD_FILE}", shard, settle=False)
-            self._faults.reach("unit-between-data")
-            whole = ShardRecord(sha256=hashlib.sha256(shard).hexdigest(), bytes=len(shard))
-        kept = {}
-        for name, content in files.items():
-            self.store.write(f"{folder}/{name}", content, settle=False)
-            kept[name] = ShardRecord(sha256=hashlib.sha256(content).hexdigest(), bytes=len(content))
-        commit = commit.model_copy(update={"tables": records, "shard": whole, "files": kept})
-        self._faults.reach("unit-before-commit")
+            file = self._write(folder, table_file(name), parquet_bytes(table))
+            records[name] = commit.tables[name].model_copy(update=file.model_dump())
+        kept = {name: self._write(folder, name, content) for name, content in files.items()}
+        commit = commit.model_copy(update={"tables": records, "files": kept})
         content = sealed(commit)
         self.store.write(f"{folder}/{UNIT_FILE}", content)
-        self._faults.reach("unit-after-commit")
         return Committed(commit, len(content) + sum(record.bytes for record in _files(commit).values()))
 
-    def keep(self, commit: UnitCommit, name: str, table: pa.Table) -> None:
-        """Keep a table of a commit in memory for the next one who asks for it."""
-        path = f"{self.folder(commit.stage, commit.key)}/{name}"
-        self._kept.put(path, commit.tables[name].logical_hash, table)
+    def _write(self, folder: str, name: str, data: bytes) -> FileRecord:
+        self.store.write(f"{folder}/{name}", data, settle=False)
+        return FileRecord(sha256=hashlib.sha256(data).hexdigest(), bytes=len(data))
 
     def table(self, stage: str, key: str, name: str, rows_hash: str | None = None) -> pa.Table:
         """Read one table of a commit.
 
         rows_hash : logical hash that its rows must have
 
-        Raises ``CorruptShardError`` when the file is gone, cut, or its rows differ from the hash.
+        Raises ``CorruptShardError`` when the commit or the file is gone, cut or changed, or the rows are others.
         """
-        path = f"{self.folder(stage, key)}/{name}"
-        kept = None if rows_hash is None else self._kept.take(path, rows_hash)
-        if kept is not None:
-            return kept
-        shard = f"{self.folder(stage, key)}/{SHARD_FILE}"
-        try:
-            return shard_table(self._verified(shard, None), name, self._where(shard), rows_hash, REBUILD_VERIFIED)
-        except CorruptShardError as error:
-            if isinstance(error.__cause__, FileNotFoundError) and self.store.exists(f"{path}{PARQUET}"):
-                return self._parquet(f"{path}{PARQUET}", rows_hash)
-            raise
-
-    def _parquet(self, path: str, rows_hash: str | None) -> pa.Table:
-        table = parquet_table(self._verified(path, None), self._where(path))
-        # A flipped bit inside a page may well decode: only the rows' own hash tells.
-        if rows_hash is not None and logical_hash(table)[0] != rows_hash:
+        path = f"{self.folder(stage, key)}/{table_file(name)}"
+        record = self.commit(stage, key).tables.get(name)
+        if record is None or rows_hash not in (None, record.logical_hash):
             raise CorruptShardError(
                 "the rows differ from the hash of their commit", where=self._where(path), remedy=REBUILD_VERIFIED
             )
-        return table
+        return parquet_table(verified(self.store, path, record.sha256), self._where(path))
+
+    def commit(self, stage: str, key: str) -> UnitCommit:
+        """Read a commit. Raises ``CorruptShardError`` where it is missing or damaged."""
+        try:
+            return self._read(stage, key)[0]
+        except (FileNotFoundError, ValueError) as error:
+            where = self._where(f"{self.folder(stage, key)}/{UNIT_FILE}")
+            raise CorruptShardError(
+                "the commit of a unit is missing or damaged", where=where, remedy=REBUILD_VERIFIED
+            ) from error
 
     def file(self, commit: UnitCommit, name: str) -> bytes:
         """Read a file of a commit that is not a table. Raises ``CorruptShardError`` as ``table`` does."""
-        return bytes(self._verified(f"{self.folder(commit.stage, commit.key)}/{name}", commit.files[name].sha256))
-
-    def _verified(self, path: str, sha256: str | None) -> Any:
-        try:
-            data = self.store.read(path)
-        except FileNotFoundError as error:
-            raise CorruptShardError(
-                "a committed file is missing", where=self._where(path), remedy=REBUILD_VERIFIED
-            ) from error
-        if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
-            raise CorruptShardError(
-                "the bytes differ from the hash of their commit", where=self._where(path), remedy=REBUILD_VERIFIED
-            )
-        return data
+        return verified(self.store, f"{self.folder(commit.stage, commit.key)}/{name}", commit.files[name].sha256)
 
     def _where(self, path: str) -> str:
         return f"{self.store.url}/{path}"
@@ -212,7 +187,6 @@ class Commits:
 
     def quarantine(self, record: QuarantineRecord) -> None:
         """Record why a unit failed, in place of an older record of the same key."""
-        self._faults.reach("quarantine-before-record")
         path = f"quarantine/{record.stage}/{record.key}.json"
         self.store.write(path, record.model_dump_json(indent=1).encode())
 
@@ -242,8 +216,41 @@ class Commits:
                 yield parts[1], parts[2].removesuffix(".json")
 
 
-def _files(commit: UnitCommit) -> dict[str, ShardRecord]:
+def verified(store: Store, path: str, sha256: str) -> bytes:
+    """Read a file of the store. Raises ``CorruptShardError`` when it is missing or its bytes have another hash."""
+    try:
+        data = store.read(path)
+    except FileNotFoundError as error:
+        raise CorruptShardError("the file is missing", where=f"{store.url}/{path}", remedy=REBUILD_VERIFIED) from error
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise CorruptShardError(
+            "the bytes differ from their recorded hash", where=f"{store.url}/{path}", remedy=REBUILD_VERIFIED
+        )
+    return data
+
+
+def table_file(name: str) -> str:
+    """Return the file name of a table of a unit."""
+    return f"{name}.parquet"
+
+
+def _files(commit: UnitCommit) -> dict[str, FileRecord]:
     """Return all files of a commit except ``unit.json``, by name."""
-    if commit.shard is not None:
-        return {SHARD_FILE: commit.shard, **commit.files}
-    return {**{f"{name}{PARQUET}": record for name, record in commit.tables.items()}, **commit.files}
+    return {**{table_file(name): record for name, record in commit.tables.items()}, **commit.files}
+
+
+def sealed(document: BaseModel) -> bytes:
+    """Encode a document of the store as JSON with its field ``checksum`` set, which reveals damage even where the
+    document is still valid JSON.
+    """
+    content = document.model_dump(mode="json", exclude={"checksum"})
+    return orjson.dumps({**content, "checksum": digest(content)}, option=orjson.OPT_INDENT_2)
+
+
+def unsealed(kind: type[Model], data: bytes) -> Model:
+    """Decode the document in ``data``. Raises ``ValueError`` when it is malformed or differs from its checksum."""
+    document = kind.model_validate_json(data)
+    content = json.loads(data)
+    if digest({name: value for name, value in content.items() if name != "checksum"}) != content.get("checksum"):
+        raise ValueError("the document differs from its checksum")
+    return document

@@ -1,20 +1,28 @@
-"""The interface of executors, and the executor that works in this process."""
+"""Tasks and their order, the interface of executors, and the executor that works in this process."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Final, Protocol, TypeVar
 
-from factory.context import RunContext
-from factory.heartbeat import Busy
 from factory.packing import Packed, PackJob, pack
-from factory.preload import NOTHING, Preload
+from factory.pipeline import RunContext
 from factory.receipt import Receipt
-from factory.unit import Work
+from factory.report import Busy
+from factory.stage import Work
 from factory.worker import Worker
 
-__all__ = ["Executor", "InlineExecutor", "Task"]
+__all__ = ["Executor", "InlineExecutor", "Task", "Warm", "tasks"]
+
+TASK_SECONDS: Final = 2.0
+"""Expected CPU seconds up to which units share a task, so that handing out a task costs below 1 %."""
+
+TASK_UNITS: Final = 64
+"""Most units of a task, so that their receipts (2 kB each at most) can be returned directly."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +33,6 @@ class Task:
     attempt : how many times these units were given out, this one included
     last_try : running out of memory quarantines
     memory : estimated bytes at the peak
-    alone : nothing else of the run may be at work on its node, so that what happens there is its own doing
     """
 
     work: tuple[Work, ...]
@@ -33,12 +40,25 @@ class Task:
     attempt: int = 1
     last_try: bool = False
     memory: int = 0
-    alone: bool = False
 
-    @property
-    def seconds(self) -> float:
-        """Return the estimated seconds of all units."""
-        return sum(item.seconds for item in self.work)
+
+def tasks(work: Sequence[Work], until: int, workers: int) -> Iterator[Task]:
+    """Yield the tasks of a pass, the largest units first, so that no large unit is left to run alone at the end; tiny
+    units share a task. One worker alone takes the smallest first, so that a unit that never ends keeps no other from
+    being committed. Units of equal cost keep the order that they came in.
+
+    until : number of stages to make
+    workers : how many share the work
+    """
+    # Towards the end all workers should stay busy, so no task takes more than a small part of one worker's share.
+    target = min(TASK_SECONDS, sum(item.seconds for item in work) / (4 * workers))
+    ordered = sorted(work, key=lambda item: item.seconds if workers == 1 else -item.seconds)
+    held: list[Work] = []
+    for at, item in enumerate(ordered, 1):
+        held.append(item)
+        if at == len(ordered) or len(held) >= TASK_UNITS or sum(item.seconds for item in held) >= target:
+            yield Task(tuple(held), until, memory=max(item.memory for item in held))
+            held = []
 
 
 class Executor(Protocol):
@@ -46,18 +66,14 @@ class Executor(Protocol):
 
     @property
     def workers(self) -> int:
-        """Return how many units are processed at once."""
+        """Return the largest number of units that are processed at once."""
         ...
 
-    def workers_for(self, seconds: float) -> int:
-        """Return how many units would be processed at once in a run whose expected cost is ``seconds`` CPU seconds in
-        total.
-        """
-        ...
+    def begin(self, seconds: float) -> int:
+        """Get ready for work of so many CPU seconds in total; return how many units will be processed at once. Called
+        before work is handed out, and not at all where there is none.
 
-    def prepare(self, seconds: float) -> None:
-        """Get ready for tasks whose expected cost is ``seconds`` CPU seconds in total; called before the tasks are
-        handed out, and not at all where there are none.
+        Raises ``UsageError`` and ``ClusterError`` when Ray can't be used.
         """
         ...
 
@@ -68,8 +84,7 @@ class Executor(Protocol):
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         """Run ``tasks``. When the iterator is closed, no further task is started; commits stay.
 
-        Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray, or the process that starts
-        workers, dies.
+        Each receipt holds what was expected of its unit. Raises ``ClusterError`` when Ray does not answer any more.
         """
         ...
 
@@ -77,49 +92,47 @@ class Executor(Protocol):
         """Write the files of a snapshot."""
         ...
 
+    def streams(
+        self, function: Callable[[Item], Iterator[Result]], items: Sequence[Item], name: str
+    ) -> list[Iterator[Result]]:
+        """Start a generator for each item, all at once where there are workers; return what each yields."""
+        ...
+
+
+Warm = Callable[[Executor], None]
+"""Called once, before the first work, with the executor that does it."""
+
 
 class InlineExecutor:
-    """Works in this process, one unit after the other, the smallest first: for small runs and debugging."""
+    """Works in this process, one unit after the other: for small runs and debugging."""
 
     workers = 1
 
-    def __init__(self, preload: Preload = NOTHING, note: Callable[[str], None] = lambda _: None) -> None:
-        """Create the executor.
-
-        preload : called before the first task
-        note : shows what `preload` says
-        """
-        self._preload = preload
-        self._note = note
-        self._prepared = False
+    def __init__(self, warm: Warm = lambda executor: None) -> None:
+        self._warm = warm
+        self._begun = False
         self._worker: Worker | None = None
 
-    def workers_for(self, seconds: float) -> int:
+    def begin(self, seconds: float) -> int:
+        if not self._begun:
+            self._warm(self)
+            self._begun = True
         return 1
 
-    def prepare(self, seconds: float) -> None:
-        if not self._prepared:
-            self._preload.load(self._note)
-            self._prepared = True
-
     def busy(self) -> Sequence[Busy]:
-        found = None if self._worker is None else self._worker.place.busy()
-        return [] if found is None else [found]
+        return [] if self._worker is None else self._worker.busy()
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
         worker = self._worker = Worker(context)
-        smallest_first = getattr(tasks, "smallest_first", None)
-        for task in tasks if smallest_first is None else smallest_first():
+        for task in tasks:
             for item in task.work:
-                receipt = self._one(worker, task, item, last_try=task.last_try)
-                if receipt.status == "memory":
-                    receipt = self._one(worker, task, item, last_try=True)
+                # Another try would have no more memory.
+                receipt = worker.work(item.unit, task.until, item.fingerprint, last_try=True)
                 yield replace(receipt, expected=item.seconds)
-
-    def _one(self, worker: Worker, task: Task, item: Work, *, last_try: bool) -> Receipt:
-        attempt = task.attempt + (last_try and not task.last_try)
-        return worker.work(item.unit, task.until, item.fingerprint, attempt=attempt, last_try=last_try)
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
         for job in jobs:
-            yield pack(context.store, context.pipeline, job, context.faults)
+            yield pack(context.store, context.pipeline, job)
+
+    def streams(self, function: Callable[[Any], Iterator[Any]], items: Sequence[Any], name: str) -> list[Iterator[Any]]:
+        return [function(item) for item in items]

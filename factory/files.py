@@ -1,8 +1,8 @@
 """Hashes of input files, cached by (path, size, mtime), so that planning an unchanged corpus reads no file twice.
 
 The memory is one SQLite file beside the store, or anywhere local; losing it costs time only. A file that changed while
-keeping its size and its modification time to the nanosecond would be missed; files touched within the last two seconds
-are not remembered, since a second write may fall into the same tick of a coarse clock.
+keeping its size and its modification time to the nanosecond is missed, unless ``trust`` is False. Files touched within
+the last two seconds are not remembered, since a second write may fall into the same tick of a coarse clock.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from factory.unit import InputFile
+from factory.stage import InputFile
 from schemas.errors import MissingFileError, TransientIOError
 
 __all__ = ["FileHashes", "hash_file"]
@@ -48,13 +48,14 @@ class FileHashes:
     """A local cache of file hashes.
 
     path : the SQLite file; None keeps it in memory
+    trust : use what it holds; False: hash every file once more, and write the new hashes
     """
 
-    def __init__(self, path: Path | None = None) -> None:
+    def __init__(self, path: Path | None = None, *, trust: bool = True) -> None:
         self._path = path
         self._known: dict[str, tuple[int, int, str]] = {}
         self._new: dict[str, tuple[int, int, str]] = {}
-        if path is not None and path.exists():
+        if trust and path is not None and path.exists():
             try:
                 with _database(path) as database:
                     rows = database.execute("SELECT path, size, mtime_ns, sha256 FROM hashes")

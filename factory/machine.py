@@ -1,36 +1,96 @@
-"""Facts about the machine, which are recorded but are not part of any key: host, versions, memory, and a speed test."""
+"""The machine: host, versions, cores and memory, which are recorded but are no part of a key; and a memory limit for a
+process while it works on a unit, so that a unit which is too large fails alone.
+
+The system's limit on private memory (``RLIMIT_DATA``) is lowered while a stage runs: NumPy, Arrow, numba and Python
+then raise ``MemoryError`` before anything is taken. C++ code that can't report a refused request (FCL, Ray's own
+threads) aborts its process; in a worker that counts as its death. What the limit does not count (shared memory, mapped
+files) is left to Ray's memory monitor. Linux only; elsewhere there is no limit.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import platform
 import resource
 import socket
 import sys
-import time
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Final
 
-import numpy as np
+from schemas.errors import MemoryCeilingError
 
 __all__ = [
-    "REFERENCE_PROBE_SECONDS",
+    "LEAST",
+    "SHARE",
     "container_limits",
     "cores",
     "host",
     "library_versions",
+    "limited_memory",
     "memory_available",
     "memory_total",
+    "named",
     "peak_rss",
     "private_memory",
-    "probe",
     "reset_peak_rss",
     "rss",
-    "slowness",
+    "share",
 ]
+
+
+LEAST: Final = 1 << 30
+"""Least limit that is derived from the machine, bytes: a worker holds 0.4 GiB before it reads a scene."""
+
+SHARE: Final = 0.8
+"""Share of the machine's memory, and of what is free of it, that all workers together may take."""
+
+
+def share(slots: int) -> int | None:
+    """Return how many bytes of memory this process may hold if `slots` such processes share the machine; None where the
+    system does not report its memory.
+    """
+    total, free = memory_total(), memory_available()
+    if not total:
+        return None
+    mine = rss() + int(SHARE * free / slots)
+    return max(LEAST, min(int(SHARE * total / slots), mine))
+
+
+@contextlib.contextmanager
+def limited_memory(ceiling: int | None) -> Iterator[None]:
+    """Context in which this process may take what is left below `ceiling` (bytes of resident memory; None for no
+    limit), and requests beyond raise ``MemoryError``.
+    """
+    if ceiling is None or not rss():
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    wanted = private_memory() + max(ceiling - rss(), 0)
+    limits = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *limits]), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def named(error: BaseException, ceiling: int | None) -> BaseException:
+    """Return the error to report for `error`. A ``MemoryError`` becomes one that names the limit in force; any other
+    error is returned as it is.
+    """
+    if ceiling is None or not isinstance(error, MemoryError) or isinstance(error, MemoryCeilingError):
+        return error
+    found = MemoryCeilingError(
+        f"it needs more memory than the ceiling of {ceiling / 2**30:.2f} GiB a process "
+        f"({str(error) or 'a request was refused'})",
+        remedy="Raise ray.memory_gib, or lower ray.workers, and run again with --retry-quarantined",
+    )
+    found.__cause__ = error
+    return found
 
 
 @functools.cache
@@ -53,24 +113,18 @@ def library_versions() -> dict[str, str]:
 
 def reset_peak_rss() -> None:
     """Restart the measurement that ``peak_rss`` returns. This has no effect on systems other than Linux."""
-    try:
-        with open("/proc/self/clear_refs", "w") as handle:
-            handle.write("5")
-    except OSError:
-        pass
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak_rss() -> int:
     """Return the maximum resident memory of this process in bytes, since the last ``reset_peak_rss`` or else since its
     start.
     """
-    try:
-        with open("/proc/self/status") as handle:
-            for line in handle:
-                if line.startswith("VmHWM:"):
-                    return int(line.split()[1]) * 1024
-    except OSError:
-        pass
+    with contextlib.suppress(OSError), open("/proc/self/status") as handle:
+        for line in handle:
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
     # Kilobytes on Linux, bytes on macOS.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
@@ -147,43 +201,3 @@ def container_limits(
                 continue
             if limit.isdigit() and used.isdigit():
                 yield int(limit), int(used)
-
-
-REFERENCE_PROBE_SECONDS: Final = 0.0098
-"""CPU seconds of ``probe`` on the reference machine. Estimates of units are in CPU seconds of that machine, so ``python
--m benchmarks costs`` measures both together."""
-
-_ROUNDS: Final = 4
-"""Number of times that the probe runs. The fastest counts, since disturbances only make it longer."""
-
-
-def probe() -> float:
-    """Measure the CPU seconds of a fixed piece of work: half numpy on small arrays, half plain Python. Takes
-    under 0.1 s.
-    """
-    return min(_round() for _ in range(_ROUNDS))
-
-
-@functools.cache
-def slowness() -> float:
-    """Return how many CPU seconds this machine needs for the work of one CPU second on the reference machine; measured
-    once per process.
-    """
-    return probe() / REFERENCE_PROBE_SECONDS
-
-
-def _round() -> float:
-    began = time.process_time()
-    # Small arrays, as rooms and paths are: the time goes into calls as much as into arithmetic.
-    points = np.arange(900, dtype=np.float64).reshape(300, 3) % 7.0
-    total = 0.0
-    for at in range(3):
-        gaps = points[:, None, :] - points[None, :, :] + at
-        total += float(np.sqrt((gaps * gaps).sum(axis=2)).min())
-    # Dictionaries, strings and tuples, as the sampling of programs is.
-    seen: dict[tuple[str, int], list[int]] = {}
-    for at in range(5_000):
-        seen.setdefault((f"label {at % 97}", at % 13), []).append(at)
-    total += sum(len(values) for values in seen.values())
-    assert total > 0
-    return time.process_time() - began

@@ -1,8 +1,9 @@
 """The store on S3 and services with its protocol (MinIO, R2, GCS, Ceph): the same interface as local disk.
 
-A put of an object is atomic by itself. The two conditional writes are the protocol's own: ``If-None-Match: *`` for
-``create``, ``If-Match: <etag>`` for ``swap``. A server that takes these headers and ignores them would let two
-publishers overwrite each other silently, so the first conditional write of a process proves that they work.
+A put of an object is atomic by itself. The conditional write, ``swap``, is the protocol's own: ``If-None-Match: *``
+for a new object, ``If-Match: <etag>`` for one that is replaced. A server that takes these headers and ignores them
+would let two publishers overwrite each other silently, so the first conditional write of a process proves that they
+work.
 
 Needs ``boto3`` (``pip install condvln[s3]``), imported when the first request is made. Credentials and region come from
 where boto3 finds them (environment, profile, role of the machine), never from the configuration.
@@ -13,12 +14,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import secrets
-import shutil
-import tempfile
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
 from factory.store import Entry, token_of
@@ -99,10 +97,6 @@ class ObjectStore:
         return f"s3://{self.bucket}/{self.prefix}".rstrip("/")
 
     @property
-    def lists_cheaply(self) -> bool:
-        return False
-
-    @property
     def _client(self) -> Any:
         return _client(self.endpoint, self.region)
 
@@ -114,16 +108,6 @@ class ObjectStore:
     def read(self, path: str) -> bytes:
         return self._get(path)[0]
 
-    def open(self, path: str) -> BinaryIO:
-        with self._errors(path), contextlib.ExitStack() as failed:
-            copy = failed.enter_context(tempfile.TemporaryFile())
-            answer = self._client.get_object(Bucket=self.bucket, Key=self._key(path))
-            with answer["Body"] as body:
-                shutil.copyfileobj(body, copy, 1 << 20)
-            copy.seek(0)
-            failed.pop_all()
-            return copy
-
     def _get(self, path: str) -> tuple[bytes, str]:
         """Return (bytes, etag) of an object."""
         with self._errors(path):
@@ -132,29 +116,12 @@ class ObjectStore:
                 data: bytes = body.read()
             return data, answer["ETag"]
 
-    def exists(self, path: str) -> bool:
-        key = self._key(path)
-        try:
-            with self._errors(path):
-                self._client.head_object(Bucket=self.bucket, Key=key)
-        except FileNotFoundError:
-            return False
-        return True
-
-    def write(self, path: str, data: Any, *, settle: bool = True) -> None:
+    def write(self, path: str, data: bytes, *, settle: bool = True) -> None:
         key = self._key(path)
         with self._errors(path):
-            if hasattr(data, "read"):
-                data.seek(0)
-            else:
-                data = bytes(data)
             self._client.put_object(Bucket=self.bucket, Key=key, Body=data)
 
-    def create(self, path: str, data: Any) -> bool:
-        self._prove()
-        return self._put_if(path, bytes(data), {"IfNoneMatch": "*"})
-
-    def swap(self, path: str, data: Any, token: str | None) -> None:
+    def swap(self, path: str, data: bytes, token: str | None) -> None:
         self._prove()
         conflict = PublishConflictError("another publisher moved this ref", where=path, remedy="Run again.")
         condition = {"IfNoneMatch": "*"}
@@ -166,7 +133,7 @@ class ObjectStore:
             if token_of(now) != token:
                 raise conflict
             condition = {"IfMatch": etag}
-        if not self._put_if(path, bytes(data), condition):
+        if not self._put_if(path, data, condition):
             raise conflict
 
     def _put_if(self, path: str, data: bytes, condition: dict[str, str]) -> bool:
@@ -223,11 +190,6 @@ class ObjectStore:
             for page in self._client.get_paginator("list_objects_v2").paginate(Bucket=self.bucket, Prefix=below):
                 for item in page.get("Contents", ()):
                     yield Entry(item["Key"][skip:], item["Size"], item["LastModified"].timestamp())
-
-    def folders(self, prefix: str) -> Iterator[tuple[str, dict[str, int]]]:
-        # Keys come in their order, so that the files of one folder follow each other.
-        for folder, entries in groupby(self.list(prefix), lambda entry: entry.path.rpartition("/")[0]):
-            yield folder[len(prefix) + 1 :], {entry.path.rpartition("/")[2]: entry.size for entry in entries}
 
     def delete(self, path: str) -> None:
         key = self._key(path)

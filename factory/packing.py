@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -20,10 +19,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from factory.commits import Commits
-from factory.faults import FaultPlan
 from factory.pipeline import Pipeline, TableSpec
 from factory.rows import ROW_GROUP_ROWS, ZSTD_LEVEL, concatenated, parquet_bytes, schema_hash
-from factory.spool import Spool
 from factory.store import Store
 from schemas.canonical import digest
 from schemas.errors import CorruptShardError
@@ -31,7 +28,6 @@ from schemas.snapshot import PartRecord
 
 __all__ = [
     "PART_BYTES",
-    "Members",
     "PackJob",
     "Packed",
     "bucket_count",
@@ -49,38 +45,12 @@ PART_BYTES: Final = 128 * 1024 * 1024
 READERS: Final = 16
 """Number of requests to an object store at once while packing: each takes some tens of milliseconds and no CPU."""
 
-SHARES: Final = 16
-"""Number of shares in which the members of many buckets stand on disk."""
-
-_BATCH: Final = 2048
-
-
-class Members:
-    """Units whose rows belong together: columns unit_id, stage, key, hash, bytes; one row for each unit and stage with
-    rows, by unit id.
-
-    tables : called for each pass over them; in another process they are in memory
-    """
-
-    def __init__(self, tables: Callable[[], Iterable[pa.Table]]) -> None:
-        self._tables = tables
-
-    def __iter__(self) -> Iterator[pa.Table]:
-        return iter(self._tables())
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Members.of, ([*self],)
-
-    @classmethod
-    def of(cls, tables: Sequence[pa.Table]) -> Members:
-        """Return members that are in memory."""
-        return cls(lambda: tables)
-
 
 @dataclass(frozen=True, slots=True)
 class PackJob:
     """A file of a published table that is to be written, and the rows that belong in the file.
 
+    members : columns unit_id, stage, key, hash, bytes; a row for each unit and stage with rows, by unit id
     logical_bytes : canonical bytes of all members
     """
 
@@ -89,7 +59,7 @@ class PackJob:
     bucket: int
     path: str
     content: str
-    members: Members
+    members: pa.Table
     logical_bytes: int
 
 
@@ -103,37 +73,17 @@ class Packed:
     damaged: tuple[str, ...] = ()
 
 
-def buckets(members: Members, count: int) -> Iterator[tuple[int, Members]]:
-    """Divide the ``members`` of one table and partition into ``count`` buckets; yield (number, members) of each bucket
-    that is not empty. A single bucket is yielded in any case.
+def buckets(members: pa.Table, count: int) -> Iterator[tuple[int, pa.Table]]:
+    """Divide the ``members`` of one table and partition (see ``PackJob``) into ``count`` buckets; yield (number,
+    members) of each bucket that is not empty. A single bucket is yielded in any case.
     """
     if count == 1:
         yield 0, members
         return
-    # A share on disk holds the members of one bucket or of several.
-    places: list[list[int]] = [[] for _ in range(min(count, SHARES))]
-    spool: Spool[pa.Table] = Spool()
-    for table in members:
-        numbers = np.fromiter(
-            (zlib.crc32(unit_id.encode()) % count for (unit_id,) in _rows([table], "unit_id")), np.int64
-        )
-        table = table.append_column("bucket", pa.array(numbers))
-        for share in np.unique(numbers * len(places) // count).tolist():
-            mine = numbers * len(places) // count == share
-            places[share].append(spool.append(table.filter(pa.array(mine))))
-    for share, found in enumerate(places):
-        if count == len(places):
-            if found:
-                yield share, Members(partial(_read, spool, found))
-            continue
-        if found:
-            whole = pa.concat_tables(_read(spool, found))
-            for bucket in sorted(pc.unique(whole.column("bucket")).to_pylist()):
-                yield bucket, Members.of([whole.filter(pc.equal(whole.column("bucket"), bucket))])
-
-
-def _read(spool: Spool[pa.Table], places: Sequence[int]) -> Iterator[pa.Table]:
-    return (spool[at] for at in places)
+    names = members.column("unit_id").to_pylist()
+    numbers = np.fromiter((zlib.crc32(unit_id.encode()) % count for unit_id in names), np.int64, len(names))
+    for bucket in np.unique(numbers).tolist():
+        yield bucket, members.filter(pa.array(numbers == bucket))
 
 
 def bucket_count(whole: int, part_bytes: int) -> int:
@@ -151,11 +101,9 @@ def size(members: pa.Table) -> int:
     return int(pc.sum(members.column("bytes")).as_py() or 0)
 
 
-def _rows(members: Iterable[pa.Table], *names: str) -> Iterator[tuple[Any, ...]]:
-    """Yield the values of the named columns, row by row. Only a batch of rows at a time is converted to objects."""
-    for table in members:
-        for batch in table.select(list(names)).to_batches(max_chunksize=_BATCH):
-            yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
+def _rows(members: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
+    """Yield the values of the named columns, row by row."""
+    return zip(*(members.column(name).to_pylist() for name in names), strict=True)
 
 
 def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
@@ -166,27 +114,23 @@ def in_threads(load: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any
 
 def hash_members(state: Any, members: pa.Table) -> None:
     """Update the hash ``state`` with the unit ids of ``members`` and the logical hashes of their rows."""
-    for unit_id, hash_ in _rows([members], "unit_id", "hash"):
+    for unit_id, hash_ in _rows(members, "unit_id", "hash"):
         name = unit_id.encode()
         state.update(len(name).to_bytes(4, "little") + name + hash_)
 
 
-def content_of(spec: TableSpec, members: Members) -> tuple[str, int]:
-    """Return (128-bit hash of everything that a part's bytes depend on, except versions of libraries and of this code;
-    canonical bytes of its rows).
+def content_of(spec: TableSpec, members: pa.Table) -> str:
+    """Return the 128-bit hash of everything that a part's bytes depend on, except versions of libraries and of this
+    code.
     """
     settings = [schema_hash(spec.schema), *spec.sort_keys, str(ROW_GROUP_ROWS), str(ZSTD_LEVEL)]
     state = hashlib.sha256(bytes.fromhex(digest(settings)))
-    whole = 0
-    for table in members:
-        hash_members(state, table)
-        whole += size(table)
-    return state.hexdigest()[:32], whole
+    hash_members(state, members)
+    return state.hexdigest()[:32]
 
 
-def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Packed:
+def pack(store: Store, pipeline: Pipeline, job: PackJob) -> Packed:
     """Write the file of ``job``, and check every unit's rows against their logical hash."""
-    plan = FaultPlan.parse(faults) if faults else FaultPlan.from_environment()
     commits = Commits(store)
     spec = pipeline.tables[job.table]
     tables: list[pa.Table] = []
@@ -202,18 +146,17 @@ def pack(store: Store, pipeline: Pipeline, job: PackJob, faults: str = "") -> Pa
         return table
 
     rows = _rows(job.members, "unit_id", "stage", "key", "hash")
-    for found in map(load, rows) if store.lists_cheaply else in_threads(load, rows):
+    for found in in_threads(load, rows):
         if isinstance(found, str):
             damaged.append(found)
         else:
             tables.append(found)
     if damaged:
         return Packed(job.table, job.partition, None, tuple(damaged))
-    whole = concatenated(iter(tables), spec, job.table)
+    whole = concatenated(tables, spec, job.table)
     metadata = {f"{pipeline.name}.table": job.table, f"{pipeline.name}.schema_version": pipeline.schema_version}
     data = parquet_bytes(whole, sort_keys=spec.sort_keys, metadata=metadata)
     store.write(job.path, data)
-    plan.reach("snapshot-between-parts")
     part = PartRecord(
         path=job.path.split("/", 2)[2],
         rows=whole.num_rows,

@@ -8,19 +8,19 @@ the same units; one killed after it finds the pin.
 
 from __future__ import annotations
 
+import errno
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from functools import partial
 
 import pyarrow as pa
 
 from factory.chain import SharedTables, Upstream
-from factory.commits import Commits
-from factory.faults import FaultPlan
+from factory.commits import Commits, sealed, unsealed
 from factory.receipt import Receipt
 from factory.rows import logical_hash, parquet_bytes, parquet_table
-from factory.seal import sealed, unsealed
 from factory.stage import Aggregate
-from factory.temporary import temporary_space
 from schemas.canonical import digest
 from schemas.errors import CorruptShardError, StoreError
 from schemas.snapshot import Pin, PinnedTable, SnapshotManifest
@@ -44,13 +44,11 @@ class Pins:
         aggregates: Sequence[Aggregate],
         commits: Commits,
         ref: str,
-        faults: FaultPlan | None = None,
         published: SnapshotManifest | None = None,
     ) -> None:
         self._aggregates = aggregates
         self._commits = commits
         self._path = f"pins/{pipeline}/{ref}.json"
-        self._faults = faults or FaultPlan()
         self._published = published
         self.damaged: list[str] = []
         """Paths of files that are missing or damaged, which ``restore`` writes again."""
@@ -64,9 +62,13 @@ class Pins:
     def _read(self) -> Pin:
         store = self._commits.store
         kept = {} if self._published is None else self._published.shared
-        pin: Pin | None = None
-        with suppress(FileNotFoundError, ValueError):
+        pin, written = None, True
+        try:
             pin = unsealed(Pin, store.read(self._path))
+        except FileNotFoundError:
+            written = False
+        except ValueError:
+            pass
         tables = {} if pin is None else dict(pin.tables)
         for name, record in kept.items():
             known = tables.get(name)
@@ -74,7 +76,7 @@ class Pins:
                 tables[name] = PinnedTable(**record.model_dump(include=set(PinnedTable.model_fields)))
         if pin is not None and tables == pin.tables:
             return pin
-        if kept or store.exists(self._path):
+        if kept or written:
             self.damaged.append(self._path)
         return Pin(tables=tables)
 
@@ -149,15 +151,12 @@ class Pins:
                     f"the shared table {aggregate.name!r} is missing or damaged, here and in the published snapshot, "
                     "and a table built from the present units differs from it",
                     where=f"{self._commits.store.url}/{SharedTables.path(aggregate.name, before.hash)}",
-                    remedy="Restore the file, or run condvln rebuild CONFIG --priors, which builds it from the present "
-                    "units and rebuilds what depends on it.",
+                    remedy="Restore the file, or run condvln generate CONFIG --priors, which builds it from the "
+                    "present units and rebuilds what depends on it.",
                 )
             self._commits.store.write(path, parquet_bytes(table))
             return found
-        self._faults.reach("pin-before-table")
-        # Not create(): one of this name that is damaged must not stay.
         self._commits.store.write(path, parquet_bytes(table))
-        self._faults.reach("pin-before-pin")
         pinned = PinnedTable(
             version=aggregate.version,
             hash=found,
@@ -168,7 +167,6 @@ class Pins:
         )
         self.pin = Pin(tables={**self.pin.tables, aggregate.name: pinned})
         self._commits.store.write(self._path, sealed(self.pin))
-        self._faults.reach("pin-after-pin")
         return found
 
 
@@ -192,23 +190,34 @@ def build_aggregate(aggregate: Aggregate, commits: Commits, receipts: Iterable[R
             count += 1
             yield found
 
-    with temporary_space():
+    with _temporary_space():
         table = aggregate.build(counted())
     return table.replace_schema_metadata(None).combine_chunks(), count
 
 
-def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> int:
-    """Remove every commit whose tables for ``aggregate`` are damaged, so that another pass rebuilds them all. Return
-    the number of units affected.
+@contextmanager
+def _temporary_space() -> Iterator[None]:
+    """Context in which an aggregate may write temporary files. Raises ``StoreError``, which names their folder, when
+    there is no space left for them: the store may well have some.
     """
-    damaged = 0
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise StoreError(
+            "no space left for temporary files",
+            where=tempfile.gettempdir(),
+            remedy="Free some space there, or set TMPDIR to another folder; what was committed stays.",
+        ) from error
+
+
+def discard_damaged(aggregate: Aggregate, commits: Commits, receipts: Iterable[Receipt]) -> None:
+    """Remove every commit whose tables for ``aggregate`` are damaged, so that another pass rebuilds them all."""
     for _, tables in _tables(aggregate, commits, receipts):
-        try:
-            for name in aggregate.tables:
+        for name in aggregate.tables:
+            with suppress(CorruptShardError):
                 tables[name]
-        except CorruptShardError:
-            damaged += 1
-    return damaged
 
 
 def _tables(
@@ -223,16 +232,13 @@ def _tables(
             continue
         key = stage.key.hex()
         hashes = {table.table: table.hash.hex() for table in stage.tables}
-        loaders = {name: _loader(commits, stage.stage, key, name, hashes[name]) for name in aggregate.tables}
-        yield receipt.unit_id, Upstream(loaders)
+        read = partial(_table, commits, stage.stage, key)
+        yield receipt.unit_id, Upstream({name: partial(read, name, hashes[name]) for name in aggregate.tables})
 
 
-def _loader(commits: Commits, stage: str, key: str, name: str, rows_hash: str):  # type: ignore[no-untyped-def]
-    def load() -> pa.Table:
-        try:
-            return commits.table(stage, key, name, rows_hash)
-        except CorruptShardError:
-            commits.discard(stage, key)
-            raise
-
-    return load
+def _table(commits: Commits, stage: str, key: str, name: str, rows_hash: str) -> pa.Table:
+    try:
+        return commits.table(stage, key, name, rows_hash)
+    except CorruptShardError:
+        commits.discard(stage, key)
+        raise

@@ -1,4 +1,6 @@
-"""A pipeline: stages in their order, the aggregates between them, and the tables to publish."""
+"""A pipeline: stages in their order, the aggregates between them, and the tables to publish; and what a run needs to
+know beside it.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,11 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from factory.stage import Aggregate, Stage
+from factory.store import Store
+from schemas.base import SCHEMA_VERSION
 from schemas.errors import UsageError
-from schemas.version import SCHEMA_VERSION
 
-__all__ = ["Pipeline", "TableSpec", "plain_name"]
+__all__ = ["Pipeline", "RunContext", "TableSpec", "plain_name"]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}")
 
@@ -28,17 +31,10 @@ class TableSpec:
 
     schema : exactly the columns of every file
     sort_keys : columns that order the rows; together unique in the table
-    stage : the stage whose rows are published, or several whose rows are published together
     """
 
     schema: pa.Schema
     sort_keys: tuple[str, ...]
-    stage: str | tuple[str, ...]
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """Return the stages whose rows are published."""
-        return (self.stage,) if isinstance(self.stage, str) else self.stage
 
 
 @dataclass(frozen=True)
@@ -86,16 +82,16 @@ class Pipeline:
                     f"stage {stage.name!r} reads {table!r}, which no earlier stage writes",
                 )
         for name, spec in self.tables.items():
-            for writer in spec.stages:
-                _require(
-                    writer in self._order and name in self.stages[self._order[writer]].tables,
-                    f"table {name!r} is published from stage {writer!r}, which does not write it",
-                )
+            _require(bool(self.writers(name)), f"no stage writes the table {name!r}, which is published")
             _require(set(spec.sort_keys) <= set(spec.schema.names), f"table {name!r} lacks one of its sort keys")
 
     def position(self, stage: str) -> int:
         """Return the position of ``stage`` in the chain."""
         return self._order[stage]
+
+    def writers(self, table: str) -> list[str]:
+        """Return the stages that write a table; what they write is published together."""
+        return [stage.name for stage in self.stages if table in stage.tables]
 
     def stage_tables(self, stage: Stage) -> tuple[tuple[str, TableSpec | None], ...]:
         """Return (name, contract) of each table of ``stage``; the contract is None for unpublished tables."""
@@ -110,6 +106,31 @@ class Pipeline:
         return tuple(
             sorted((table, position) for table, position in writers.items() if reads is None or table in reads)
         )
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """Parameters of a run; every worker receives them once.
+
+    shared : hashes of the pinned aggregates
+    quarantined : (stage, key) pairs not to be tried again
+    retrying : units in quarantine are tried again: a success takes their record away
+    deadline : seconds one unit may take; None for no limit
+    memory : bytes that a process which works on units may hold; None for its share of the machine (``factory.machine``)
+    name : of the run, in the names of its tasks (``condvln:<name>:<unit>``)
+    """
+
+    pipeline: Pipeline
+    store: Store
+    shared: Mapping[str, str] = field(default_factory=dict)
+    quarantined: frozenset[tuple[str, str]] = frozenset()
+    retrying: bool = False
+    revision: str = ""
+    deadline: float | None = None
+    memory: int | None = None
+    name: str = "run"
+    token: str = ""
+    """Name of the run. A unit that this run has quarantined is not tried again within the run."""
 
 
 def _require(holds: bool, what: str) -> None:

@@ -1,39 +1,157 @@
-"""Compares a corpus with the published index: cheaply for a run, exactly for a plan."""
+"""Compares a corpus with the published index: cheaply for a run, exactly for a plan.
+
+A plan says which units are missing, stale (and why), fresh or quarantined, and what processing them would cost.
+Planning runs no stage. A plan is exact for everything that is known before running. A stage behind a stale stage is
+POSSIBLE: if the output of the stale stage turns out equal, the later stage need not run (early cut-off).
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
-from itertools import islice
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from factory.chain import Chain, SharedTables, receipt_of
+from factory.chain import Chain, Keyer, SharedTables, StageKey, receipt_of
 from factory.commits import Commits
-from factory.costs import CostModel
-from factory.flags import Flags
-from factory.index import STATUSES, Index, id_hashes
+from factory.index import Index
 from factory.inventory import Inventory
-from factory.key import Keyer, StageKey
 from factory.pipeline import Pipeline, plain_name
-from factory.plan import PlanEntry, Reason, StagePlan, UnitPlan
 from factory.receipt import Receipt, StageReceipt
-from factory.scratch import batches, let_go
-from factory.sorting import SortedNumbers
-from factory.unit import Unit, Work
+from factory.stage import Unit, Work
+from schemas.canonical import digest
 from schemas.errors import CondVLNError, CorruptShardError, InputError, StageError, UsageError
 
-__all__ = ["Planner"]
-
-_BATCH: Final = 512
-"""Number of units that are compared at a time."""
+__all__ = ["MEMORY_MARGIN", "CostModel", "Plan", "PlanEntry", "Planner"]
 
 
-PROBES: Final = 100
-"""Number of single requests to an object store after which all commits are listed instead, a thousand per request."""
+MEMORY_MARGIN: Final = 1.25
+"""Factor on the measured peak memory when memory is requested: the same unit varies by some percent from run to run."""
+
+
+class CostModel:
+    """Expected CPU seconds of each stage of a unit, and expected peak memory of units.
+
+    A stage is expected to take its estimate times measured CPU seconds over estimates: of the same unit where the
+    stage was published for it, else of all units for which it was.
+    """
+
+    def __init__(self, index: Index, pipeline: Pipeline) -> None:
+        self._index = index
+        self._scales = {stage.name: _scale(index.table, stage.name) for stage in pipeline.stages}
+
+    def stage_seconds(self, unit: Unit, row: int, stage: str) -> float:
+        """Return the expected CPU seconds of one stage. ``row`` is the unit's row in the published index, or -1."""
+        estimate = unit.costs.get(stage, 0.0)
+        spent, before = self._number(row, f"{stage}.cpu_seconds"), self._number(row, f"{stage}.estimate")
+        if spent > 0 and before > 0 and estimate > 0:
+            return spent * estimate / before
+        return spent or estimate * self._scales[stage]
+
+    def seconds(self, unit: Unit, row: int, first: int = 0, until: int | None = None) -> float:
+        """Return the expected CPU seconds of the stages at positions ``first`` to ``until`` (all by default)."""
+        return sum(self.stage_seconds(unit, row, name) for name in [*self._scales][first:until])
+
+    def memory(self, unit: Unit, row: int) -> int:
+        """Return the expected peak memory of a unit in bytes: the peak measured when the unit was last made, with a
+        margin, else the unit's own estimate.
+        """
+        peak = max(self._number(row, f"{name}.peak_rss") for name in self._scales)
+        return int(MEMORY_MARGIN * peak) if peak > 0 else unit.memory
+
+    def _number(self, row: int, column: str) -> float:
+        """Return a value of the unit in ``row``; 0 where there is none."""
+        found = self._index.value(row, column) if row >= 0 else None
+        return 0.0 if found is None or found != found else float(found)
+
+
+def _scale(table: pa.Table, stage: str) -> float:
+    """Return the CPU seconds of a stage over their estimates, in all rows of an index; 1 where nothing is known."""
+    spent, estimated = _numbers(table, f"{stage}.cpu_seconds"), _numbers(table, f"{stage}.estimate")
+    both = (spent > 0) & (estimated > 0)
+    return float(spent[both].sum() / estimated[both].sum()) if both.any() else 1.0
+
+
+def _numbers(table: pa.Table, column: str) -> Any:
+    """Return a column as (rows,) float64, with 0 where it is null or missing."""
+    if column not in table.schema.names:
+        return np.zeros(table.num_rows)
+    return np.nan_to_num(table.column(column).to_numpy().astype(float))
+
+
+Reason = Literal["data", "parameters", "code", "dependency", "partition", "damaged"]
+"""Reasons of staleness. ``damaged``: the inputs are unchanged, but files of the unit are missing from the store or
+cut."""
+StagePlan = Literal["FRESH", "STALE", "MISSING", "POSSIBLE", "QUARANTINED"]
+UnitPlan = Literal["FRESH", "STALE", "MISSING", "QUARANTINED"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanEntry:
+    """What a run would do with one unit.
+
+    reasons : what changed since it was published, for a stale unit
+    stages : what would become of each stage, up to one that skipped or failed
+    seconds : estimated cost of the stages that will run (POSSIBLE ones not counted)
+    possible_seconds : estimated cost of the POSSIBLE ones
+    detail : why it is quarantined
+    """
+
+    unit_id: str
+    partition: str
+    status: UnitPlan
+    reasons: tuple[Reason, ...] = ()
+    stages: tuple[tuple[str, StagePlan], ...] = ()
+    seconds: float = 0.0
+    possible_seconds: float = 0.0
+    detail: str = ""
+
+
+@dataclass
+class Plan:
+    """All entries of a plan, and sums over them.
+
+    removed : units that are published and no longer in the corpus
+    renewed : aggregates that would be built (none is pinned, or its version changed): units behind them show POSSIBLE
+    snapshot_id : what is published now; None where nothing is
+    carried : number of units for which nothing has to be done, not even publishing
+    damaged : files of what is published that are missing or damaged and would be made again, the units' own left out
+    """
+
+    entries: list[PlanEntry] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
+    possible_seconds: float = 0.0
+    removed: tuple[str, ...] = ()
+    renewed: tuple[str, ...] = ()
+    damaged: tuple[str, ...] = ()
+    snapshot_id: str | None = None
+    carried: int = 0
+
+    @property
+    def empty(self) -> bool:
+        """Whether a run would change nothing."""
+        return not (self.counts["MISSING"] or self.counts["STALE"] or self.removed or self.renewed or self.damaged)
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether a run would publish exactly what is published now. True also means that a listing of the store found
+        every published file.
+        """
+        return self.empty and self.snapshot_id is not None and self.carried == len(self.entries)
+
+    def add(self, entry: PlanEntry) -> None:
+        """Add one unit."""
+        self.entries.append(entry)
+        self.counts[entry.status] += 1
+        self.reasons.update(entry.reasons)
+        self.seconds += entry.seconds
+        self.possible_seconds += entry.possible_seconds
 
 
 class Planner:
@@ -70,22 +188,14 @@ class Planner:
         self._quarantined = quarantined
         self._again = again
         self._inventory = inventory
-        self._incomplete = Flags(len(index))
-        for start, batch in batches(index.rows, ["status"]):
-            other = pc.not_equal(batch.column(0), STATUSES[0]).to_numpy(zero_copy_only=False)
-            self._incomplete[start + np.flatnonzero(other)] = True
+        self._status = index.table.column("status").to_pylist()
+        self._fingerprints = index.table.column("fingerprint").to_pylist()
         self._model = CostModel(index, pipeline)
-        self._probes = 0
-        self._listed: frozenset[tuple[str, str]] | None = None
-        self._new = SortedNumbers()
-        """Hashes of the ids that are not in the index."""
-        self._all_fresh: tuple[tuple[str, StagePlan], ...] = tuple((stage.name, "FRESH") for stage in pipeline.stages)
         self.seconds_behind = 0.0
         """Expected CPU seconds of the stages behind the planned ones, of all units that ``work`` yielded."""
-        self.kept = Flags(len(index))
+        self.kept = np.zeros(len(index), bool)
         """For each row of the index whether the unit is unchanged, and its row is kept."""
-        self._only_damaged = Flags(len(index))
-        self.present = Flags(len(index))
+        self.present = np.zeros(len(index), bool)
         """For each row of the index whether the unit is still in the corpus."""
 
     def compare(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, bytes, int, bool]]:
@@ -94,36 +204,25 @@ class Planner:
 
         Raises ``UsageError`` on a unit id that comes twice or can't be stored.
         """
-        stream = iter(units)
-        twice = False
-        while batch := [*islice(stream, _BATCH)]:
-            for unit in batch:
-                _check(unit)
-            rows = self.index.rows_of([unit.unit_id for unit in batch])
-            known = rows[rows >= 0]
-            twice = twice or len(np.unique(known)) < len(known) or bool(self.present[known].any())
-            self.present[known] = True
-            self._new.add(id_hashes([unit.unit_id for unit, row in zip(batch, rows, strict=True) if row < 0]))
-            published = iter(self.index.take(known, ["fingerprint"]).column(0).to_pylist())
-            let_go()
-            for unit, row in zip(batch, rows.tolist(), strict=True):
-                checked, fingerprint = self._fingerprint(unit)
-                fresh = row >= 0 and fingerprint == next(published) and self._whole and self._stands(row)
+        seen: set[str] = set()
+        for unit in units:
+            _check(unit)
+            if unit.unit_id in seen:
+                raise UsageError(
+                    f"two units of this run have the same id, {unit.unit_id}",
+                    remedy="Ids must be unique over all sources.",
+                )
+            seen.add(unit.unit_id)
+            row = self.index.row_of(unit.unit_id)
+            checked, fingerprint = self._fingerprint(unit)
+            fresh = False
+            if row >= 0:
+                self.present[row] = True
+                fresh = fingerprint == self._fingerprints[row] and self._whole and self._stands(row)
                 fresh = fresh and unit.unit_id not in self._again
-                if fresh and self._inventory is not None and not self._inventory.whole[row]:
-                    self._only_damaged[row] = True
-                    fresh = False
-                if fresh:
-                    self.kept[row] = True
-                yield checked, fingerprint, row, fresh
-        new, self._new = self._new, SortedNumbers()
-        last = np.empty(0, np.uint64)
-        for piece in new:
-            joined = np.concatenate((last, piece))
-            twice = twice or bool((joined[1:] == joined[:-1]).any())
-            last = piece[-1:]
-        if twice:
-            raise UsageError("two units of this run have the same id", remedy="Ids must be unique over all sources.")
+                fresh = fresh and (self._inventory is None or bool(self._inventory.whole[row]))
+                self.kept[row] = fresh
+            yield checked, fingerprint, row, fresh
 
     def _stands(self, row: int) -> bool:
         """Whether the unit's published result is still valid. A quarantined unit whose record was removed is tried
@@ -136,11 +235,11 @@ class Planner:
 
     def status(self, row: int) -> str:
         """Return the published status of the unit in ``row`` of the index."""
-        return str(self.index.value(row, "status")) if self._incomplete[row] else STATUSES[0]
+        return str(self._status[row])
 
-    def kept_incomplete(self) -> Iterator[int]:
-        """Yield the rows of the index that are kept and whose units are skipped or quarantined."""
-        return self.kept.both(self._incomplete)
+    def kept_incomplete(self) -> list[int]:
+        """Return the rows of the index that are kept and whose units are skipped or quarantined."""
+        return [row for row in np.flatnonzero(self.kept).tolist() if self._status[row] != "ok"]
 
     def _fingerprint(self, unit: Unit) -> tuple[Unit, bytes]:
         if unit.fault is None:
@@ -151,7 +250,7 @@ class Planner:
             except Exception as error:
                 fault = InputError(f"{type(error).__name__}: {error}", where=unit.unit_id)
             unit = replace(unit, fault=fault)
-        return unit, id_hashes([unit.unit_id]).tobytes() + id_hashes([str(unit.fault)]).tobytes()
+        return unit, bytes.fromhex(digest([unit.unit_id, str(unit.fault)]))[:16]
 
     def work(self, units: Iterable[Unit]) -> Iterator[Work]:
         """Yield the units that a run must process. For each unchanged unit, mark its row of the index in ``self.kept``
@@ -165,8 +264,6 @@ class Planner:
 
     def entry(self, unit: Unit, row: int, fresh: bool) -> PlanEntry:
         """Return the exact plan for one unit."""
-        if fresh and self.status(row) == "ok":
-            return PlanEntry(unit.unit_id, unit.partition, "FRESH", stages=self._all_fresh)
         old = self.index.receipt(row, self.pipeline) if row >= 0 else None
         if fresh:
             assert old is not None
@@ -177,8 +274,6 @@ class Planner:
             )
         if unit.fault is not None:
             return self._quarantined_entry(unit, str(unit.fault))
-        if old is not None and self._only_damaged[row]:
-            return self._damaged_entry(unit, old, row)
         try:
             return self._walk(unit, row, old)
         except (StageError, InputError) as error:
@@ -190,33 +285,20 @@ class Planner:
     def _lost(self, stage: str, row: int) -> bool:
         return self._inventory is not None and row >= 0 and self._inventory.lost(stage, row)
 
-    def _damaged_entry(self, unit: Unit, old: Receipt, row: int) -> PlanEntry:
-        """Return the plan for a unit whose inputs are unchanged, but which has files in the store that are missing or
-        cut short. Only the stages that wrote those files run again, and they give the same rows as before.
-        """
-        lost = {stage.stage for stage in old.stages if self._lost(stage.stage, row)}
-        return PlanEntry(
-            unit.unit_id,
-            unit.partition,
-            "STALE",
-            reasons=("damaged",),
-            stages=tuple((stage.stage, "STALE" if stage.stage in lost else "FRESH") for stage in old.stages),
-            seconds=sum(
-                self._model.stage_seconds(unit, row, stage.stage) for stage in old.stages if stage.stage in lost
-            ),
-        )
-
     def _walk(self, unit: Unit, row: int, old: Receipt | None) -> PlanEntry:
         before = {stage.stage: stage for stage in old.stages} if old else {}
         chain = Chain(self.pipeline, self.keyer, self.commits, self._shared, unit, discard=False)
         stages: list[tuple[str, StagePlan]] = []
         reasons: list[Reason] = []
+        awaits = False
         if old is not None and old.partition != unit.partition:
             reasons.append("partition")
         while chain.at < self.stages:
             stage = self.pipeline.stages[chain.at]
-            if not set(stage.needs) <= set(self._shared.hashes):
-                break  # its aggregate is not there yet
+            if awaits := not set(stage.needs) <= set(self._shared.hashes):
+                if old is not None:
+                    reasons.append("dependency")
+                break  # its aggregate is not there yet, and may turn out as it was
             known = before.get(stage.name)
             try:
                 key = chain.key()
@@ -242,8 +324,10 @@ class Planner:
                 break
         first = chain.at
         if not (chain.done and chain.done[-1].skipped):
-            stages += self._behind(unit, first, before, reasons)
-        seconds, possible = self._costs(unit, row, stages)
+            stages += self._behind(unit, first, before, reasons, sure=not awaits)
+        costs = {"FRESH": 0.0, "POSSIBLE": 0.0, "STALE": 0.0, "MISSING": 0.0}
+        for name, found in stages:
+            costs[found] += self._model.stage_seconds(unit, row, name)
         status: UnitPlan = "MISSING" if old is None else "STALE"
         if all(plan == "FRESH" for _, plan in stages):
             # Everything is committed, by an interrupted run say: publishing is all that is left.
@@ -257,24 +341,26 @@ class Planner:
             status,
             reasons=tuple(sorted(set(reasons))),
             stages=tuple(stages),
-            seconds=seconds,
-            possible_seconds=possible,
+            seconds=costs["STALE"] + costs["MISSING"],
+            possible_seconds=costs["POSSIBLE"],
         )
 
     def _committed(self, stage: str, key: StageKey) -> StageReceipt | None:
-        self._probes += 1
-        if self._listed is None and self._probes > PROBES and not self.commits.store.lists_cheaply:
-            self._listed = frozenset(self.commits.committed())
         if self._listed is not None and (stage, key.hex) not in self._listed:
             return None
         found = self.commits.find(stage, key.hex, discard=False)
         return receipt_of(found, made=False) if found else None
 
+    @cached_property
+    def _listed(self) -> frozenset[tuple[str, str]] | None:
+        """All commits of an object store, where to ask for one takes as long as to list a thousand; else None."""
+        return None if self.commits.store.local_path("units") else frozenset(self.commits.committed())
+
     def _behind(
-        self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason]
+        self, unit: Unit, first: int, before: Mapping[str, StageReceipt], reasons: list[Reason], *, sure: bool
     ) -> Iterator[tuple[str, StagePlan]]:
         """Yield (stage name, plan) for each stage from position ``first`` on. The stage at ``first`` is the first one
-        that is not done, so it will run. A later stage may have to run if it reads tables of a stage that runs.
+        that is not done; it will run if that is `sure`. A later one may have to run if it reads tables of one that may.
         """
         unsure = {first}
         for at in range(first, self.stages):
@@ -290,7 +376,7 @@ class Planner:
             if known.parameters != self.keyer.parameters(unit, at):
                 own.append("parameters")
             reasons += own
-            if at == first or own:
+            if (at == first and sure) or own:
                 yield stage.name, "STALE"
                 unsure.add(at)
             elif (
@@ -303,35 +389,9 @@ class Planner:
             else:
                 yield stage.name, "FRESH"
 
-    def _costs(self, unit: Unit, row: int, stages: list[tuple[str, StagePlan]]) -> tuple[float, float]:
-        sums = {"certain": 0.0, "possible": 0.0}
-        for name, plan in stages:
-            if plan != "FRESH":
-                expected = self._model.stage_seconds(unit, row, name)
-                sums["possible" if plan == "POSSIBLE" else "certain"] += expected
-        return sums["certain"], sums["possible"]
-
-    def renamed(self, missing: Mapping[bytes, str]) -> tuple[tuple[str, str], ...]:
-        """Return (old id, new id) of each unit that was renamed: the old id is published but no longer in the corpus,
-        and an unpublished unit in ``missing`` has the same bytes.
-
-        missing : hash of the content → unit id
-        """
-        if not missing or "content" not in self.index.rows.schema.names:
-            return ()
-        return tuple(
-            (row["unit_id"], missing[row["content"]])
-            for row in self._gone("unit_id", "content")
-            if row["content"] in missing
-        )
-
     def removed(self) -> tuple[str, ...]:
         """Return the ids of published units that were not among the compared units."""
-        return tuple(row["unit_id"] for row in self._gone("unit_id"))
-
-    def _gone(self, *columns: str) -> Iterator[dict[str, Any]]:
-        for start, batch in batches(self.index.rows, columns):
-            yield from batch.filter(pa.array(~self.present[start : start + batch.num_rows])).to_pylist()
+        return tuple(self.index.table.column("unit_id").filter(pa.array(~self.present)).to_pylist())
 
 
 def _differences(known: StageReceipt, key: StageKey) -> list[Reason]:

@@ -9,22 +9,18 @@ from typing import Final
 
 from factory import machine
 from factory.chain import SharedTables
-from factory.commits import Commits
-from factory.context import RunContext
+from factory.commits import Commits, sealed
 from factory.executor import Executor
-from factory.faults import FaultPlan
 from factory.index import Index
 from factory.inventory import missing_parts
 from factory.packing import PackJob, in_threads
-from factory.pipeline import Pipeline
+from factory.pipeline import Pipeline, RunContext
 from factory.receipt import Receipt
 from factory.report import Progress, RunReport
-from factory.scratch import BatchedTable
-from factory.seal import sealed
 from factory.snapshot import Composition, damaged_parts, manifest_path, read_manifest, read_ref, ref_path
 from factory.store import Store
 from schemas.errors import CorruptShardError, PublishConflictError
-from schemas.snapshot import PartRecord, PinnedTable, Published, Ref, SharedRecord
+from schemas.snapshot import STORE_VERSION, PartRecord, PinnedTable, Published, Ref, SharedRecord
 
 __all__ = ["Publisher", "published_index"]
 
@@ -51,31 +47,15 @@ class Publisher:
     old : that state; None when nothing was published yet
     """
 
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        store: Store,
-        ref: str,
-        executor: Executor,
-        progress: Progress,
-        faults: FaultPlan,
-        part_bytes: int,
-    ) -> None:
-        self._pipeline = pipeline
-        self._store = store
-        self._ref = ref
+    def __init__(self, context: RunContext, executor: Executor, progress: Progress, part_bytes: int) -> None:
+        self._pipeline, self._store, self._ref = context.pipeline, context.store, context.name
         self._executor = executor
         self._progress = progress
-        self._faults = faults
         self._part_bytes = part_bytes
-        self.old, self._token = read_ref(store, ref)
-        self.manifest = read_manifest(store, self.old.snapshot_id) if self.old is not None else None
+        self.old, self._token = read_ref(self._store, self._ref)
+        self.manifest = read_manifest(self._store, self.old.snapshot_id) if self.old is not None else None
         """Manifest of the published snapshot; None where it is missing or damaged."""
         self._damaged: frozenset[str] = frozenset()
-
-    def index(self) -> Index:
-        """Return the published unit index."""
-        return published_index(self._pipeline, self._store, self.old)
 
     def look(self) -> None:
         """List the store's files to find published files that are missing or cut short. These files will be rebuilt."""
@@ -99,8 +79,8 @@ class Publisher:
                     found.append((stage.stage, stage.key.hex(), path))
             return found
 
-        receipts = index.receipts(range(len(index)), self._pipeline)
-        for damaged in map(check, receipts) if self._store.lists_cheaply else in_threads(check, receipts):
+        receipts = index.receipts(self._pipeline)
+        for damaged in in_threads(check, receipts):
             self._progress.step()
             for stage, key, path in damaged:
                 commits.discard(stage, key)
@@ -117,7 +97,7 @@ class Publisher:
         return self.old is not None and self.manifest is not None and not self._damaged
 
     def publish(
-        self, index: BatchedTable, context: RunContext, report: RunReport, pinned: Mapping[str, PinnedTable]
+        self, index: Index, context: RunContext, report: RunReport, pinned: Mapping[str, PinnedTable]
     ) -> set[str]:
         """Publish the units of ``index``.
 
@@ -129,33 +109,29 @@ class Publisher:
         composition = Composition.of(self._pipeline, index)
         damaged = self._write_parts(composition, context, pinned)
         if not damaged:
-            self._faults.reach("snapshot-before-index")
             report.snapshot_id = composition.snapshot_id
-            self._swap(composition.snapshot_id, Index.write(self._store, index), report)
+            self._swap(composition.snapshot_id, index.write(self._store), report)
         return damaged
 
     def _write_parts(
         self, composition: Composition, context: RunContext, pinned: Mapping[str, PinnedTable]
     ) -> set[str]:
         """Write the snapshot unless it exists. Return the ids of units whose committed files are damaged."""
-        if read_manifest(self._store, composition.snapshot_id) is not None:
+        present = read_manifest(self._store, composition.snapshot_id) is not None
+        if present:
             self._damaged |= {*missing_parts(self._store, composition.snapshot_id)}
         own = f"snapshots/{composition.snapshot_id}/"
-        if not any(path.startswith(own) for path in self._damaged) and self._store.exists(
-            manifest_path(composition.snapshot_id)
-        ):
+        if present and not any(path.startswith(own) for path in self._damaged):
             if self.old is None or self.old.snapshot_id != composition.snapshot_id:
                 # No ref may name it and its day be past: written again, it is too young for a sweep to take it now.
                 path = manifest_path(composition.snapshot_id)
                 self._store.write(path, self._store.read(path))
             return set()
         parts: dict[tuple[str, str], list[PartRecord]] = {key: [] for key in composition.hashes}
-        self._faults.reach("snapshot-before-parts")
-        jobs = self._carry_over(composition.jobs(self._part_bytes), parts)
-        files = sum(composition.bucket_count(*key, self._part_bytes) for key in composition.hashes)
-        self._progress.phase("files", files, 0.0)
+        jobs = [*composition.jobs(self._part_bytes)]
+        self._progress.phase("files", len(jobs), 0.0)
         damaged: set[str] = set()
-        for packed in self._executor.pack(context, jobs):
+        for packed in self._executor.pack(context, self._carry_over(jobs, parts)):
             self._progress.step()
             damaged.update(packed.damaged)
             if packed.part is not None:
@@ -165,7 +141,6 @@ class Publisher:
         provenance = {"revision": context.revision, **machine.library_versions()}
         shared = {name: self._keep(composition.snapshot_id, name, pinned[name]) for name in context.shared}
         manifest = composition.manifest(parts, context.shared, shared, provenance)
-        self._faults.reach("snapshot-before-manifest")
         self._store.write(manifest_path(composition.snapshot_id), sealed(manifest))
         return set()
 
@@ -215,13 +190,13 @@ class Publisher:
             history = [state for state in (last, *self.old.history) if state.snapshot_id != snapshot_id]
         ref = Ref(
             name=self._ref,
+            store_version=STORE_VERSION,
             snapshot_id=snapshot_id,
             index=index,
             generation=1 if self.old is None else self.old.generation + 1,
             published_at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             history=history[:HISTORY],
         )
-        self._faults.reach("snapshot-before-ref")
         try:
             self._store.swap(ref_path(self._ref), sealed(ref), self._token)
         except PublishConflictError:
@@ -235,4 +210,3 @@ class Publisher:
                 self._progress.note(report.message)
             return
         report.published = True
-        self._faults.reach("snapshot-after-ref")

@@ -1,35 +1,42 @@
-"""The Ray executor: one Ray task per large unit or per few small ones. Workers write results, and return receipts.
+"""The executor of more than one worker: Ray tasks, on this machine or on a cluster.
 
-Ray is imported only when this executor starts.
+Workers write results, and return receipts. Ray is imported only when this executor starts.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from types import TracebackType
-from typing import Any
+from typing import Any, Final
 
-from factory.context import RunContext
-from factory.dispatch import Dispatch
-from factory.executor import Task
-from factory.heartbeat import Busy
+from factory import machine
+from factory.dispatch import RETRIES, Dispatch, answered, lost, seen_folders
+from factory.executor import InlineExecutor, Task, Warm
 from factory.packing import Packed, PackJob
-from factory.preload import NOTHING, Preload
-from factory.process_executor import SINGLE_THREADED
-from factory.ray_crew import RayCrew
-from factory.ray_guard import Guard
-from factory.ray_metrics import RunMetrics
-from factory.ray_node import RayNode
+from factory.pipeline import RunContext
+from factory.ray_address import import_ray, join
 from factory.receipt import Receipt
+from factory.report import Busy
+from schemas.errors import ClusterError, TransientIOError
 
 __all__ = ["RayExecutor"]
+
+SINGLE_THREADED: Final = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "ARROW_NUM_THREADS"), "1"
+)
+"""Environment of workers: tasks already share the CPUs, so libraries must not start threads."""
+
+LOCAL: Final = {**SINGLE_THREADED, "RAY_task_oom_retries": "0"}
+"""Environment of a Ray on this machine. A task that Ray ends because memory ran out comes back, and is retried with
+twice the memory; by default Ray would repeat it as it is."""
+
+OBJECT_STORE_BYTES: Final = 128 * 1024 * 1024
+"""Memory of a Ray on this machine for what tasks return. Receipts are small; rows never pass through Ray."""
 
 
 class RayExecutor:
@@ -38,88 +45,86 @@ class RayExecutor:
     workers : tasks that work at once. Here, Ray is started with as many CPUs (all of the machine by default); on a
         cluster that is joined, at most as many tasks are in flight (as the cluster has room for by default)
     address : of a running cluster (``auto``, ``host:port``, ``ray://…``); None starts Ray here, ``close`` stops it
+    place : where the address comes from, for errors
     init : further arguments of ``ray.init`` (``runtime_env``, ``namespace`` …)
-    preload : called in this process before the first task, so that not each worker compiles what no cache holds
-    note : shows what `preload` says
+    warm : called once before the first work, on this machine only
+    folders : that every node of a cluster must see
+    small : expected CPU seconds below which work is done in this process, because the start of Ray takes longer
 
-    Use it as a context manager. A Ray that is up already is used as it is and left running.
+    Use it as a context manager. A Ray that this process has started or joined before is used and left running.
     """
 
     def __init__(
         self,
         workers: int | None = None,
         address: str | None = None,
+        *,
+        place: str = "ray.address",
         init: Mapping[str, Any] | None = None,
-        preload: Preload = NOTHING,
-        note: Callable[[str], None] = lambda _: None,
+        warm: Warm = lambda executor: None,
+        folders: Iterable[str] = (),
+        small: float = 0.0,
     ) -> None:
         self._asked = workers
-        self._cpus = workers or os.cpu_count() or 1
         self._address = address
+        self._place = place
         self._init = dict(init or {})
-        self._preload = preload
-        self._note = note
-        self._prepared = False
+        self._warm = warm
+        self._warmed = False
+        self._folders = tuple(folders)
+        self._small = small
+        self._inline = InlineExecutor(warm)
         self._owner = False
-        self._node: RayNode | None = None
-        self._guard: Guard | None = None
         self._dispatch: Dispatch | None = None
 
     @property
     def running(self) -> bool:
-        """Whether Ray can be used without starting it: it already runs here, or an existing cluster is configured."""
-        if self._address is not None or self._owner:
-            return True
+        """Whether this process is connected to a Ray."""
         module = sys.modules.get("ray")
         return module is not None and bool(module.is_initialized())
 
     def start(self) -> None:
-        """Start or join Ray; called automatically when the first task comes."""
-        import ray
-
-        if ray.is_initialized():
-            self._node = self._node or RayNode()
+        """Start or join Ray, if this process is not connected yet."""
+        if self.running:
             return
         settings: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, **self._init}
-        if self._address is None:
-            settings = {
-                # Not just any Ray that happens to run on this machine.
-                "address": "local",
-                "num_cpus": self._cpus,
-                "include_dashboard": False,
-                # Receipts are small and rows never pass through Ray.
-                "object_store_memory": 128 * 1024 * 1024,
-                **settings,
-            }
-            with _environment(SINGLE_THREADED), _own_signals():
-                ray.init(**settings)
-        else:
+        if self._address is not None:
             environment = dict(settings.pop("runtime_env", {}))
             environment["env_vars"] = {**SINGLE_THREADED, **environment.get("env_vars", {})}
             with _own_signals():
-                ray.init(address=self._address, runtime_env=environment, **settings)
+                join(self._address, {**settings, "runtime_env": environment}, self._place)
+        else:
+            ray = import_ray()
+            # Not just any Ray that happens to run on this machine.
+            own = {"address": "local", "num_cpus": self._cpus, "object_store_memory": OBJECT_STORE_BYTES}
+            try:
+                with _environment(LOCAL), _own_signals():
+                    ray.init(**{**own, **settings})
+            except Exception as error:
+                raise ClusterError(
+                    f"Ray can't be started on this machine: {' '.join(str(error).split())}",
+                    remedy="Free memory and disk space (df /dev/shm /tmp), or work in one process (--inline).",
+                ) from error
         self._owner = True
-        self._node = RayNode()
-        self._guard = Guard(self._node.logs)
 
     def close(self) -> None:
-        """Stop Ray if this executor started it."""
+        """Stop Ray if this executor started it, or leave the cluster."""
+        self._dispatch = None
         if self._owner:
             import ray
 
-            self._owner, self._node = False, None
+            self._owner = False
             ray.shutdown()
-            if self._guard is not None:
-                self._guard.end()
-                self._guard = None
 
     def __enter__(self) -> RayExecutor:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def _cpus(self) -> int:
+        return self._asked or machine.cores()
 
     @property
     def workers(self) -> int:
@@ -133,50 +138,68 @@ class RayExecutor:
         self.start()
         import ray
 
-        with self._alive().answers():
+        with answered():
             return max(1, int(ray.cluster_resources().get("CPU", 0.0)))  # type: ignore[no-untyped-call]
 
-    def workers_for(self, seconds: float) -> int:
+    def begin(self, seconds: float) -> int:
+        if self._address is None and seconds < self._small and not self.running:
+            return self._inline.begin(seconds)
+        self.start()
+        if not self._warmed and self._address is None:  # nodes of a cluster have a cache each
+            self._warm(self)
+            self._warmed = True
         return self.workers
 
     def busy(self) -> Sequence[Busy]:
-        dispatch = self._dispatch
-        return [] if dispatch is None else dispatch.busy()
-
-    def prepare(self, seconds: float) -> None:
-        if not self._prepared:
-            self._preload.load(self._note)
-            self._prepared = True
+        return [*self._inline.busy(), *(() if self._dispatch is None else self._dispatch.busy())]
 
     def run(self, context: RunContext, tasks: Iterable[Task]) -> Iterator[Receipt]:
-        stream = iter(tasks)
-        first = next(stream, None)
-        if first is None:
-            return  # Ray is not started for nothing
-        for done, receipt in enumerate(self._dispatched(context).units(itertools.chain([first], stream)), 1):
-            if self._guard is not None:
-                self._guard.done(done)
-            yield receipt
+        if not self.running:
+            return self._inline.run(context, tasks)
+        return self._dispatched(context).units(tasks)
 
     def pack(self, context: RunContext, jobs: Iterable[PackJob]) -> Iterator[Packed]:
-        stream = iter(jobs)
-        first = next(stream, None)
-        if first is not None:
-            yield from self._dispatched(context).packs(itertools.chain([first], stream))
+        if not self.running:
+            return self._inline.pack(context, jobs)
+        return self._dispatched(context).packs(jobs)
 
     def _dispatched(self, context: RunContext) -> Dispatch:
-        self.start()
         joined = self._address is not None
-        with self._alive().answers():
-            # A Ray that was started here has as many CPUs as were asked for; on another the tasks are counted.
-            most = self._asked if joined else None
-            crew = RayCrew(context, self._alive(), grows=joined, most=most)
-            self._dispatch = Dispatch(context, crew, RunMetrics())
+        # A Ray that was started here has as many CPUs as were asked for; on another the tasks are counted.
+        self._dispatch = Dispatch(
+            context,
+            seen_folders(self._folders) if joined else (),
+            grows=joined,
+            most=self._asked if joined else None,
+        )
         return self._dispatch
 
-    def _alive(self) -> RayNode:
-        assert self._node is not None
-        return self._node
+    def streams(self, function: Callable[[Any], Iterator[Any]], items: Sequence[Any], name: str) -> list[Iterator[Any]]:
+        if not self.running:
+            return self._inline.streams(function, items, name)
+        import ray
+
+        options = {"max_retries": RETRIES, "retry_exceptions": [TransientIOError], "num_returns": "streaming"}
+        remote: Any = ray.remote(function)
+        remote = remote.options(name=f"condvln:{name}", **options)
+        return [map(_value, remote.remote(item)) for item in items]
+
+
+def _value(reference: Any) -> Any:
+    """Return the result of a task. Raises what the task raised; ``ClusterError`` if its worker died."""
+    import ray
+
+    try:
+        with answered():
+            return ray.get(reference)
+    except ray.exceptions.RayError as error:
+        end = lost(error)
+        if end.kind == "raised":
+            raise end.error from None
+        raise ClusterError(
+            f"the workers of a task died {RETRIES + 1} times ({' '.join(str(error).split())})",
+            remedy="Use fewer workers if memory was short.",
+        ) from error
 
 
 @contextlib.contextmanager

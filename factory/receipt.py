@@ -7,8 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from factory.record import Record
-
 __all__ = ["Failure", "Receipt", "StageReceipt", "Status", "TableReceipt"]
 
 Status = Literal["ok", "skipped", "quarantined", "partial", "memory"]
@@ -17,7 +15,7 @@ memory."""
 
 
 @dataclass(frozen=True, slots=True)
-class TableReceipt(Record):
+class TableReceipt:
     """One table of one stage: its 16-byte logical hash, number of rows, and size in bytes of its canonical buffers."""
 
     table: str
@@ -27,15 +25,15 @@ class TableReceipt(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class StageReceipt(Record):
+class StageReceipt:
     """One stage of a unit: its key, the hashes of the key's parts (16 bytes each), and its cost.
 
     seconds : by the clock
     made : it was made just now, rather than found committed
     skipped : it ended the unit's chain
     cpu_seconds : CPU seconds of its process; 0 where they were not recorded
-    estimate : what the unit's own estimate said, in CPU seconds of the reference machine (``factory.machine``)
-    stored : bytes of its files in the store, by which a listing tells that one is missing or cut; None if not known
+    estimate : CPU seconds by the unit's own estimate
+    stored : bytes of its files in the store, by which a listing tells that one is missing or cut
     """
 
     stage: str
@@ -51,11 +49,11 @@ class StageReceipt(Record):
     tables: tuple[TableReceipt, ...]
     cpu_seconds: float = 0.0
     estimate: float = 0.0
-    stored: int | None = None
+    stored: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Failure(Record):
+class Failure:
     """Why and at which stage a unit was quarantined; the full record is in the store.
 
     known : it stood in quarantine already and was not tried again
@@ -72,11 +70,10 @@ class Failure(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class Receipt(Record):
+class Receipt:
     """The result of one unit.
 
     expected : CPU seconds that were expected of it, by which a run tells how much is left; set by the executor
-    content : hash of its files' bytes without their paths, by which a renamed unit is known
     """
 
     unit_id: str
@@ -88,12 +85,6 @@ class Receipt(Record):
     failure: Failure | None = None
     attempts: int = 1
     expected: float = 0.0
-    content: bytes = b""
-
-    @property
-    def made(self) -> int:
-        """Return the number of stages that this run executed. Stages that were found committed do not count."""
-        return sum(stage.made for stage in self.stages)
 
     @property
     def seconds(self) -> float:
@@ -101,15 +92,3 @@ class Receipt(Record):
         count.
         """
         return sum(stage.seconds for stage in self.stages if stage.made)
-
-    @property
-    def cpu_seconds(self) -> float:
-        """Return the CPU seconds of the stages that this run executed. Stages that were found committed do not
-        count.
-        """
-        return sum(stage.cpu_seconds for stage in self.stages if stage.made)
-
-    @property
-    def rows(self) -> int:
-        """Return the total number of rows of all tables."""
-        return sum(table.rows for stage in self.stages for table in stage.tables)

@@ -1,100 +1,130 @@
-"""Reports of a run: while it goes on (``Progress``, time left), and when it is done (``RunReport``)."""
+"""Reports of a run: while it goes on (``Progress``, which ``RunLog`` writes to a file and ``Heartbeat`` tells of units
+that take long), and when it is done (``RunReport``).
+"""
 
 from __future__ import annotations
 
+import json
+import threading
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import Final, Protocol
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Final
 
 from factory import machine
-from factory.heartbeat import Busy
+from factory.pipeline import RunContext
 from factory.receipt import Failure, Receipt
-from factory.store import Store
+from schemas.errors import StoreError
 from schemas.snapshot import RunFailure, RunRecord
 
-__all__ = [
-    "ABORTED",
-    "DONE",
-    "WITH_QUARANTINE",
-    "FailureBudget",
-    "Progress",
-    "Remaining",
-    "RunReport",
-    "Silence",
-    "readable",
-]
+__all__ = ["ABORTED", "BUSY_SECONDS", "DONE", "WITH_QUARANTINE", "Busy", "Heartbeat", "Progress", "RunLog", "RunReport"]
+
+
+BUSY_SECONDS: Final = 30.0
+"""Seconds at one stage of one unit before the first message; the next comes after twice as many, and so on."""
+
+LONGEST_SILENCE: Final = 600.0
+"""Longest time in seconds between two messages about a unit that is still at the same stage."""
+
+_PAUSE: Final = 1.0
+"""Seconds between two checks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Busy:
+    """A unit under way, the stage that the unit is at, and the seconds since this stage began.
+
+    stage : empty for a task of Ray's: its seconds count from when it was handed out
+    """
+
+    unit_id: str
+    stage: str
+    seconds: float
+
+    @property
+    def message(self) -> str:
+        """Return one line about a unit that takes long."""
+        at = f"at stage {self.stage}" if self.stage else "in a task of Ray"
+        return f"{self.unit_id}: {at} for {self.seconds:.0f} s"
+
+
+class Heartbeat:
+    """A thread that checks which units are under way and calls `say` for those that take long; a context manager.
+
+    look : the units under way
+    say : called from the thread
+    """
+
+    def __init__(
+        self,
+        look: Callable[[], Iterable[Busy]],
+        say: Callable[[Busy], None],
+        *,
+        after: float = BUSY_SECONDS,
+        pause: float = _PAUSE,
+    ) -> None:
+        self._look = look
+        self._say = say
+        self._after = after
+        self._pause = pause
+        self._due: dict[tuple[str, str], float] = {}
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
+
+    def _run(self) -> None:
+        while not self._end.wait(self._pause):
+            self.beat()
+
+    def beat(self) -> None:
+        """Check once."""
+        due = {}
+        for busy in self._look():
+            name = (busy.unit_id, busy.stage)
+            next_one = self._due.get(name, self._after)
+            if busy.seconds >= next_one:
+                self._say(busy)
+                next_one = busy.seconds + min(busy.seconds, LONGEST_SILENCE)
+            due[name] = next_one
+        self._due = due
+
+    def __enter__(self) -> Heartbeat:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join(timeout=5.0)
+
 
 DONE: Final = 0
 WITH_QUARANTINE: Final = 3
 ABORTED: Final = 4
 
 LISTED_FAILURES: Final = 1000
-"""Number of failures that a report lists; the index and the quarantine have all of them."""
+"""Number of failures that a report and a run's record list; the index and the quarantine have all of them."""
 
 
-RECORDED_FAILURES: Final = 100
-"""Number of failures that a run's record lists."""
-
-
-@dataclass(frozen=True)
-class FailureBudget:
-    """The maximum number of units that may be quarantined before a run stops: a number, or a share of all units."""
-
-    units: int | None = None
-    share: float | None = None
-
-    @classmethod
-    def of(cls, value: FailureBudget | float | None) -> FailureBudget:
-        """Parse a budget: a whole number counts units, a fraction is a share, None means no limit."""
-        if isinstance(value, FailureBudget):
-            return value
-        if value is None:
-            return cls()
-        return cls(share=value) if isinstance(value, float) else cls(units=int(value))
-
-    def exceeded(self, failed: int, units: int) -> bool:
-        """Whether ``failed`` quarantined units out of ``units`` exceed this budget."""
-        if self.units is not None and failed > self.units:
-            return True
-        return self.share is not None and failed > self.share * units
-
-
-class Progress(Protocol):
-    """Receives the events of a run, to draw, log or measure them. Called from the driver's thread, except ``busy``."""
+class Progress:
+    """Receives the events of a run, to draw, log or measure them; this one shows nothing. Called from the driver's
+    thread, except ``busy``.
+    """
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
         """Called when a phase begins, with its name, number of steps, expected CPU seconds, and number of workers."""
-        ...
 
     def unit(self, receipt: Receipt) -> None:
         """Called when a unit is finished, whether it succeeded or failed."""
-        ...
 
     def step(self) -> None:
         """Called when a step of a phase without units is done (a file is packed)."""
-        ...
 
     def note(self, message: str) -> None:
         """Called with a message for the user."""
-        ...
 
-    def busy(self, unit: Busy, message: str) -> None:
+    def busy(self, unit: Busy) -> None:
         """Called when a unit is taking unusually long, from another thread than the other calls."""
-        ...
-
-
-class Silence:
-    """Progress that shows nothing."""
-
-    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None: ...
-
-    def unit(self, receipt: Receipt) -> None: ...
-
-    def step(self) -> None: ...
-
-    def note(self, message: str) -> None: ...
-
-    def busy(self, unit: Busy, message: str) -> None: ...
 
 
 @dataclass
@@ -131,26 +161,16 @@ class RunReport:
         if len(self.failures) < LISTED_FAILURES:
             self.failures.append((unit_id, failure))
 
-    def write(
-        self, store: Store, *, token: str, pipeline: str, ref: str, executor: str, started_at: str, revision: str
-    ) -> None:
+    def write(self, context: RunContext, executor: str, started_at: str) -> None:
         """Leave a record of the run in the store: ``runs/<started_at>-<token>.json``."""
-        failures = [
-            RunFailure(
-                unit_id=unit_id,
-                stage=failure.stage,
-                key=failure.key.hex(),
-                cause=failure.cause,
-                exception=failure.exception,
-                message=failure.message,
-                attempts=failure.attempts,
-            )
-            for unit_id, failure in self.failures[:RECORDED_FAILURES]
-        ]
+        failures = []
+        for unit_id, failure in self.failures:
+            fields = {name: getattr(failure, name) for name in ("stage", "cause", "exception", "message", "attempts")}
+            failures.append(RunFailure(unit_id=unit_id, key=failure.key.hex(), **fields))
         record = RunRecord(
-            token=token,
-            pipeline=pipeline,
-            ref=ref,
+            token=context.token,
+            pipeline=context.pipeline.name,
+            ref=context.name,
             executor=executor,
             started_at=started_at,
             seconds=round(self.seconds, 3),
@@ -164,49 +184,91 @@ class RunReport:
             failures=failures,
             message=self.message,
             host=machine.host(),
-            revision=revision,
+            revision=context.revision,
         )
-        self.record = f"runs/{started_at}-{token}.json"
-        store.write(self.record, record.model_dump_json(indent=1).encode())
+        self.record = f"runs/{started_at}-{context.token}.json"
+        context.store.write(self.record, record.model_dump_json(indent=1).encode())
 
 
-PRIOR_SECONDS: Final = 5.0
-"""Weight of the model's own estimate, in CPU seconds of done work, so that the first receipt, which pays for imports
-and caches, does not decide alone."""
+class RunLog(Progress):
+    """A ``Progress`` that writes each event to a log file and passes it on. Every line has ``at`` (UTC) and ``event``.
 
+    path : appended to; its folder is made
+    inner : progress that receives the same calls (a bar)
 
-class Remaining:
-    """Estimates the wall-clock seconds that are left in a phase.
-
-    seconds : CPU seconds expected of the whole phase
-    workers : how many share them
+    Raises ``StoreError`` where the file can't be written.
     """
 
-    def __init__(self, seconds: float, workers: int = 1) -> None:
-        self._expected = seconds
-        self._workers = max(workers, 1)
-        self._done = 0.0
-        self._took = 0.0
+    def __init__(self, path: Path, inner: Progress | None = None) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115 - closed by __exit__
+        except OSError as error:
+            raise StoreError(
+                f"the log can't be written: {error.strerror}", where=path, remedy="Check disk and permissions."
+            ) from error
+        self.path, self.inner = path, inner or Progress()
+        self._lock = threading.Lock()
+
+    def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
+        """Log that a phase begins."""
+        self.event("phase", name=name, total=total, estimated_cpu_seconds=round(seconds, 3), workers=workers)
+        self.inner.phase(name, total, seconds, workers)
 
     def unit(self, receipt: Receipt) -> None:
-        """Count a finished unit. Its wall-clock time, rather than its CPU time, sets the pace, since other processes
-        may share the machine.
-        """
-        self._done += receipt.expected
-        self._took += receipt.seconds
+        """Log a finished unit: the result of each stage, and the cause if it failed."""
+        stages = [
+            {
+                "stage": stage.stage,
+                "key": stage.key.hex(),
+                "made": stage.made,
+                "seconds": round(stage.seconds, 4),
+                "cpu_seconds": round(stage.cpu_seconds, 4),
+                "peak_rss": stage.peak_rss,
+                "rows": {table.table: table.rows for table in stage.tables},
+            }
+            for stage in receipt.stages
+        ]
+        fields: dict[str, Any] = {
+            "unit": receipt.unit_id,
+            "partition": receipt.partition,
+            "status": receipt.status,
+            "attempts": receipt.attempts,
+            "seconds": round(receipt.seconds, 4),
+            "expected_cpu_seconds": round(receipt.expected, 4),
+            "stages": stages,
+        }
+        if receipt.reason:
+            fields["reason"] = receipt.reason
+        if receipt.failure is not None:
+            fields["failure"] = {**asdict(receipt.failure), "key": receipt.failure.key.hex()}
+        self.event("unit", **fields)
+        self.inner.unit(receipt)
 
-    @property
-    def seconds(self) -> float:
-        """Return the expected wall-clock seconds left: the CPU seconds left ÷ workers × the pace so far. The pace is
-        the number of wall-clock seconds per expected CPU second.
-        """
-        pace = (self._took + PRIOR_SECONDS) / (self._done + PRIOR_SECONDS)
-        return max(self._expected - self._done, 0.0) * pace / self._workers
+    def step(self) -> None:
+        """Log that a step of a phase without units is done."""
+        self.inner.step()
 
+    def note(self, message: str) -> None:
+        """Log a message for the user."""
+        self.event("note", message=message)
+        self.inner.note(message)
 
-def readable(seconds: float) -> str:
-    """Format a duration: ``45 s``, ``12 min``, ``3 h 20 min``."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+    def busy(self, unit: Busy) -> None:
+        """Log that a unit is taking unusually long."""
+        self.event("busy", unit=unit.unit_id, stage=unit.stage, seconds=round(unit.seconds, 1))
+        self.inner.busy(unit)
+
+    def event(self, event: str, **fields: Any) -> None:
+        """Log any event."""
+        at = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        with self._lock:  # the heartbeat is a thread of its own
+            self._file.write(json.dumps({"at": at, "event": event, **fields}) + "\n")
+
+    def __enter__(self) -> RunLog:
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if error is not None:
+            self.event("end", error=f"{type(error).__name__}: {error}")
+        self._file.close()

@@ -1,15 +1,14 @@
 """The canonical form of rows: sorted, with exactly their contract's columns, and hashed independently of the encoding.
 
-The logical hash covers column names, types and values. It does not depend on chunks, dictionary or run-end encoding,
-the bytes under nulls, offsets of slices, or the version of pyarrow (whose IPC padding and metadata may change), and so
-it names the same rows in every store and across upgrades. NaNs count as one value; 0.0 and -0.0 as two.
+The logical hash covers column names, types and values. It does not depend on chunks, dictionary encoding, the bytes
+under nulls, offsets of slices, or the version of pyarrow (whose IPC padding and metadata may change), and so it names
+the same rows in every store and across upgrades. NaNs count as one value; 0.0 and -0.0 as two.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, Final
 
@@ -19,10 +18,17 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from factory.pipeline import TableSpec
-from factory.row_buffers import Layout, UnreadableBuffersError, layout_of, row_bytes
 from schemas.errors import CorruptShardError, StageError
 
-__all__ = ["ROW_GROUP_ROWS", "canonical_table", "logical_hash", "parquet_bytes", "parquet_table", "schema_hash"]
+__all__ = [
+    "ROW_GROUP_ROWS",
+    "canonical_table",
+    "concatenated",
+    "logical_hash",
+    "parquet_bytes",
+    "parquet_table",
+    "schema_hash",
+]
 
 ROW_GROUP_ROWS: Final = 122_880
 """Rows per row group: DuckDB's default, its unit of parallelism."""
@@ -57,14 +63,11 @@ def canonical_table(table: pa.Table, spec: TableSpec | None, name: str) -> pa.Ta
 
 
 def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
-    if table.num_rows < 2 or not keys or _ascends(table, keys):
-        return table
+    """Return the rows in the order of their keys, in one chunk. Raises ``StageError`` on equal keys."""
     table = table.combine_chunks()
-    order = pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])
-    if not np.array_equal(order.to_numpy(), np.arange(table.num_rows, dtype=np.uint64)):
-        table = table.take(order).combine_chunks()
-        if _ascends(table, keys):
-            return table
+    if table.num_rows < 2 or not keys:
+        return table
+    table = table.take(pc.sort_indices(table, sort_keys=[(key, "ascending") for key in keys])).combine_chunks()
     same = np.ones(table.num_rows - 1, dtype=bool)
     for key in keys:
         column = table.column(key)
@@ -75,22 +78,6 @@ def _sorted(table: pa.Table, keys: tuple[str, ...], name: str) -> pa.Table:
         row = table.slice(int(np.argmax(same)), 1).select(list(keys)).to_pylist()[0]
         raise StageError(f"table {name!r} has two rows with the sort keys {row}; together they must be unique")
     return table
-
-
-def _ascends(table: pa.Table, keys: tuple[str, ...]) -> bool:
-    """Return whether each row comes after the one before it and differs from it in the sort keys; False, too, where a
-    key is null or not a number. To see this takes a fraction of the time of sorting.
-    """
-    behind = np.zeros(table.num_rows - 1, dtype=bool)
-    equal = ~behind
-    for key in keys:
-        column = table.column(key)
-        if column.null_count:
-            return False
-        one, two = column.slice(0, table.num_rows - 1), column.slice(1)
-        behind |= equal & pc.less(one, two).to_numpy()
-        equal &= pc.equal(one, two).to_numpy()
-    return bool(behind.all())
 
 
 def _refuse_nulls(column: Any, field: pa.Field, where: str) -> None:
@@ -114,35 +101,77 @@ def logical_hash(table: pa.Table) -> tuple[str, int]:
 
     Raises ``StageError`` on a column type that has no canonical form here (maps, unions).
     """
-    batches = table.to_batches()
-    plan = _plan(table.schema.serialize().to_pybytes()) if len(batches) == 1 else None
-    if plan is not None:
-        with contextlib.suppress(UnreadableBuffersError):
-            pieces, size = row_bytes(batches[0], *plan)
-            return hashlib.sha256(b"".join(pieces)).hexdigest()[:32], size
-    return _hash_of_arrays(table)
-
-
-def _hash_of_arrays(table: pa.Table) -> tuple[str, int]:
-    """Return what `logical_hash` returns, found array by array."""
-    feed = _Feed()
+    rows = _RowHash()
     for field, column in zip(table.schema, table.columns, strict=True):
-        feed.add(f"{field.name}:{_type_name(field.type)}".encode())
-        chunks = column.chunks
-        feed.array(chunks[0] if len(chunks) == 1 else pa.concat_arrays(chunks) if chunks else _empty(field.type))
-    return feed.hash.hexdigest()[:32], feed.size
+        rows.data(f"{field.name}:{_type_name(field.type)}".encode())
+        rows.array(pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], field.type))
+    return rows.state.hexdigest()[:32], rows.size
 
 
-@lru_cache(maxsize=256)
-def _plan(schema: bytes) -> tuple[tuple[Layout, ...], tuple[bytes, ...]] | None:
-    """Return how the columns of an encoded schema are read from their buffers, and what is fed before each; None if
-    some column can't be read so.
+class _RowHash:
+    """Hashes arrays. Data is preceded by its length, so that different tables feed different bytes.
+
+    size : bytes of all data so far
     """
-    fields = [*pa.ipc.read_schema(pa.py_buffer(schema))]
-    layouts = [layout_of(field.type) for field in fields]
-    known = tuple(layout for layout in layouts if layout is not None)
-    headers = tuple(f"{field.name}:{_type_name(field.type)}".encode() for field in fields)
-    return (known, headers) if len(known) == len(fields) else None
+
+    def __init__(self) -> None:
+        self.state = hashlib.sha256()
+        self.size = 0
+
+    def data(self, data: Any) -> None:
+        """Add bytes, or the bytes of an (n,) array."""
+        view = memoryview(data).cast("B") if len(data) else b""
+        self.state.update(len(view).to_bytes(8, "little"))
+        self.state.update(view)
+        self.size += len(view)
+
+    def array(self, array: Any) -> None:
+        """Add the length of an array, which of its values are null, and the values, those of nested arrays too."""
+        kind = array.type
+        if pa.types.is_dictionary(kind):
+            self.array(array.dictionary_decode())
+            return
+        self.state.update(len(array).to_bytes(8, "little"))
+        valid = array.is_valid().to_numpy(zero_copy_only=False) if array.null_count else None
+        self.data(b"" if valid is None else np.packbits(valid))
+        if pa.types.is_struct(kind):
+            for child in array.flatten():
+                self.array(child)
+        elif pa.types.is_list(kind) or pa.types.is_large_list(kind):
+            self.data(pc.fill_null(pc.list_value_length(array), 0).to_numpy().astype("<i8"))
+            self.array(array.flatten())
+        elif pa.types.is_fixed_size_list(kind):
+            self.array(array.flatten())
+        elif pa.types.is_boolean(kind):
+            self.data(np.packbits(pc.fill_null(array, False).to_numpy(zero_copy_only=False)))
+        elif _type_name(kind) in ("string", "binary"):
+            self._texts(array.cast(pa.large_binary()))
+        elif pa.types.is_primitive(kind) or pa.types.is_decimal(kind) or pa.types.is_fixed_size_binary(kind):
+            self._fixed(array, valid)
+        elif not pa.types.is_null(kind):
+            raise StageError(f"columns of type {kind} have no canonical form; use structs and lists")
+
+    def _texts(self, array: Any) -> None:
+        """Add the lengths of texts, then the texts one after the other."""
+        if array.null_count:
+            array = pc.fill_null(array, b"")
+        _, offsets, data = array.buffers()
+        ends = np.frombuffer(offsets, "<i8", len(array) + 1, 8 * array.offset) if len(array) else np.zeros(1, "<i8")
+        self.data(np.diff(ends))
+        self.data(memoryview(data)[int(ends[0]) : int(ends[-1])] if ends[-1] > ends[0] else b"")
+
+    def _fixed(self, array: Any, valid: Any) -> None:
+        """Add values of a fixed width. NaNs count as one value, and what is under a null as 0."""
+        width = array.type.bit_width // 8
+        buffer = array.buffers()[1]
+        if buffer is None or not len(array):
+            self.data(b"")
+            return
+        raw = np.frombuffer(buffer, np.uint8, len(array) * width, array.offset * width).reshape(-1, width)
+        if pa.types.is_floating(array.type):
+            values = raw.view(f"<f{width}")
+            raw = np.where(np.isnan(values), values.dtype.type(np.nan), values).view(np.uint8)
+        self.data(np.ascontiguousarray(raw if valid is None else np.where(valid[:, None], raw, 0)).reshape(-1))
 
 
 def schema_hash(schema: pa.Schema) -> str:
@@ -151,153 +180,29 @@ def schema_hash(schema: pa.Schema) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _empty(kind: pa.DataType) -> Any:
-    return pa.array([], type=kind)
-
-
 @lru_cache(maxsize=1024)
 def _type_name(kind: pa.DataType) -> str:
     """Return the name of a column type. The name does not depend on the version of pyarrow, nor on how the values are
     encoded.
     """
-    if pa.types.is_dictionary(kind) or pa.types.is_run_end_encoded(kind):
+    if pa.types.is_dictionary(kind):
         return _type_name(kind.value_type)
-    if isinstance(kind, pa.BaseExtensionType):
-        return _type_name(kind.storage_type)
     if pa.types.is_struct(kind):
         return "struct(" + ",".join(f"{f.name}:{_type_name(f.type)}{'?' if f.nullable else ''}" for f in kind) + ")"
     if pa.types.is_fixed_size_list(kind):
         return f"list[{kind.list_size}]({_type_name(kind.value_type)})"
     if pa.types.is_list(kind) or pa.types.is_large_list(kind):
         return f"list({_type_name(kind.value_type)}{'?' if kind.value_field.nullable else ''})"
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind):
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
         return "string"
-    if pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_binary_view(kind):
+    if pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
         return "binary"
     return str(kind)
 
 
-_NOTHING: Final = (0).to_bytes(8, "little")
-_LISTS: Final = frozenset({pa.lib.Type_LIST, pa.lib.Type_LARGE_LIST})
-_OFFSETS: Final = {
-    pa.lib.Type_STRING: "<i4",
-    pa.lib.Type_BINARY: "<i4",
-    pa.lib.Type_LARGE_STRING: "<i8",
-    pa.lib.Type_LARGE_BINARY: "<i8",
-}
-"""Types of the offsets of columns of text and bytes. Any other encoding of these is cast to the last two."""
-_NUMBERS: Final = frozenset(
-    getattr(pa.lib, f"Type_{name}")
-    for name in ("INT8", "INT16", "INT32", "INT64", "UINT8", "UINT16", "UINT32", "UINT64", "FLOAT", "DOUBLE")
-)
-
-
-class _Feed:
-    """Feeds arrays to a hash. Every value is preceded by its length, so that different tables feed different bytes."""
-
-    def __init__(self) -> None:
-        self.hash = hashlib.sha256()
-        self.size = 0
-
-    def add(self, data: Any) -> None:
-        if not len(data):
-            self.hash.update(_NOTHING)
-            return
-        view = memoryview(data).cast("B")
-        self.hash.update(len(view).to_bytes(8, "little"))
-        self.hash.update(view)
-        self.size += len(view)
-
-    def array(self, array: Any) -> None:
-        # By the number of the type where most columns are: asking pa.types takes longer than hashing a short column.
-        kind = array.type
-        if kind.id == pa.lib.Type_DICTIONARY:
-            self.array(array.dictionary_decode())
-            return
-        if kind.id == pa.lib.Type_RUN_END_ENCODED:
-            self.array(pc.run_end_decode(array))
-            return
-        if isinstance(kind, pa.BaseExtensionType):
-            self.array(array.storage)
-            return
-        self.hash.update(len(array).to_bytes(8, "little"))
-        valid = None
-        if array.null_count:
-            valid = array.is_valid().to_numpy(zero_copy_only=False)
-            self.add(np.packbits(valid))
-        else:
-            self.hash.update(_NOTHING)
-        if kind.id == pa.lib.Type_STRUCT:
-            for child in array.flatten():
-                self.array(child)
-        elif kind.id in _LISTS:
-            self._lengths(array, valid)
-            self.array(array.flatten())
-        elif kind.id in _NUMBERS:
-            self._fixed(array, valid)
-        elif kind.id in _OFFSETS:
-            self._variable(array, valid)
-        elif kind.id == pa.lib.Type_BOOL:
-            whole = array if valid is None else pc.fill_null(array, False)
-            self.add(np.packbits(whole.to_numpy(zero_copy_only=False)))
-        else:
-            self._rare(array, valid)
-
-    def _rare(self, array: Any, valid: Any) -> None:
-        kind = array.type
-        if pa.types.is_null(kind):
-            return
-        if pa.types.is_fixed_size_list(kind):
-            self.array(array.flatten())
-        elif _type_name(kind) in ("string", "binary"):
-            self._variable(array, valid)
-        elif pa.types.is_primitive(kind) or pa.types.is_decimal(kind) or pa.types.is_fixed_size_binary(kind):
-            self._fixed(array, valid)
-        else:
-            raise StageError(f"columns of type {kind} have no canonical form; use structs and lists")
-
-    def _lengths(self, array: Any, valid: Any) -> None:
-        if valid is None and len(array):
-            self.add(np.diff(array.offsets.to_numpy()).astype("<i8"))
-        else:
-            self.add(pc.fill_null(pc.list_value_length(array), 0).to_numpy().astype("<i8"))
-
-    def _variable(self, array: Any, valid: Any) -> None:
-        if valid is not None:
-            array = pc.fill_null(array, "" if _type_name(array.type) == "string" else b"")
-        if array.type.id not in _OFFSETS:
-            array = array.cast(pa.large_string() if _type_name(array.type) == "string" else pa.large_binary())
-        width = np.dtype(_OFFSETS[array.type.id])
-        _, offsets, data = array.buffers()
-        start = array.offset * width.itemsize
-        ends = np.frombuffer(offsets, width, count=len(array) + 1, offset=start) if len(array) else np.zeros(1)
-        self.add(np.diff(ends).astype("<i8"))
-        first, last = int(ends[0]), int(ends[-1])
-        self.add(memoryview(data)[first:last] if data is not None and last > first else b"")
-
-    def _fixed(self, array: Any, valid: Any) -> None:
-        width = array.type.bit_width // 8
-        buffer = array.buffers()[1]
-        if buffer is None or len(array) == 0:
-            self.add(b"")
-            return
-        raw = np.frombuffer(buffer, np.uint8, count=len(array) * width, offset=array.offset * width)
-        if pa.types.is_floating(array.type):
-            values = raw.view(f"<f{width}")
-            missing = np.isnan(values)
-            if missing.any():
-                values = values.copy()
-                values[missing] = np.nan
-                raw = values.view(np.uint8)
-        if valid is not None:
-            raw = raw.reshape(-1, width).copy()
-            raw[~valid] = 0
-        self.add(np.ascontiguousarray(raw).reshape(-1))
-
-
 def parquet_bytes(
     table: pa.Table, *, sort_keys: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None
-) -> Any:
+) -> bytes:
     """Encode ``table`` as one Parquet file, with a single call of ``write_table``, so that equal tables in equal chunks
     give equal bytes.
     """
@@ -309,24 +214,12 @@ def parquet_bytes(
         compression_level=ZSTD_LEVEL,
         row_group_size=ROW_GROUP_ROWS,
         write_page_index=True,
-        # A dictionary of numbers takes long to make, and seldom makes the file smaller.
-        use_dictionary=[path for field in table.schema for path in _text_paths(field.name, field.type)],
         sorting_columns=pq.SortingColumn.from_ordering(table.schema, [(key, "ascending") for key in sort_keys])
         if sort_keys
         else None,
     )
-    return sink.getvalue()
-
-
-def _text_paths(name: str, kind: pa.DataType) -> Iterator[str]:
-    """Yield the paths in a Parquet file of the columns of text in a column, nested ones included."""
-    if pa.types.is_struct(kind):
-        for field in kind:
-            yield from _text_paths(f"{name}.{field.name}", field.type)
-    elif pa.types.is_list(kind) or pa.types.is_large_list(kind):
-        yield from _text_paths(f"{name}.list.element", kind.value_type)
-    elif _type_name(kind) == "string":
-        yield name
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
 
 
 def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -> pa.Table:
@@ -343,30 +236,14 @@ def parquet_table(data: Any, where: str, columns: Iterable[str] | None = None) -
         raise CorruptShardError(
             f"not a readable Parquet file: {error}",
             where=where,
-            remedy="Run condvln rebuild CONFIG --verify, which rebuilds damaged files.",
+            remedy="Run condvln generate CONFIG --verify, which rebuilds damaged files.",
         ) from error
-    return pa.table(table.columns, schema=_plain(table.schema))
+    return pa.table(table.columns, schema=pa.schema([field.remove_metadata() for field in table.schema]))
 
 
-def _plain(schema: pa.Schema) -> pa.Schema:
-    return pa.schema([field.remove_metadata() for field in schema])
-
-
-def concatenated(tables: Iterator[pa.Table], spec: TableSpec, name: str) -> pa.Table:
+def concatenated(tables: Iterable[pa.Table], spec: TableSpec, name: str) -> pa.Table:
     """Concatenate canonical tables of one contract, in canonical order."""
-    # One chunk a unit, however its table was stored: the bytes of a Parquet file depend on the chunks.
-    whole = [
-        table if all(column.num_chunks <= 1 for column in table.columns) else table.combine_chunks() for table in tables
-    ]
-    if not whole:
-        return spec.schema.remove_metadata().empty_table()
-    # The names of the elements of lists are in the file too: they are those that Parquet gives, whatever they were.
-    joined = pa.concat_tables(whole).cast(_of_parquet(spec.schema))
-    # The tables of units mostly follow each other as they are, and are then not copied into one.
-    return _sorted(joined, spec.sort_keys, name)
-
-
-@lru_cache(maxsize=64)
-def _of_parquet(schema: pa.Schema) -> pa.Schema:
-    """Return the schema with which a table of schema ``schema`` comes back from a Parquet file."""
-    return parquet_table(parquet_bytes(schema.empty_table()), "").schema
+    # The cast gives the elements of lists the names of the contract, whatever a table called them.
+    schema = spec.schema.remove_metadata()
+    whole = [table.cast(schema) for table in tables]
+    return _sorted(pa.concat_tables(whole), spec.sort_keys, name) if whole else schema.empty_table()

@@ -8,30 +8,34 @@ ref.
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from factory.commits import REBUILD_VERIFIED, Commits
+from factory.commits import Commits, unsealed, verified
+from factory.files import FileHashes
 from factory.index import Index
-from factory.packing import Members, PackJob, bucket_count, buckets, content_of, hash_members, size
+from factory.packing import PackJob, bucket_count, buckets, content_of, hash_members, size
 from factory.pipeline import Pipeline, plain_name
 from factory.receipt import StageReceipt
 from factory.rows import parquet_table, schema_hash
-from factory.scratch import BatchedTable, batches
-from factory.seal import unsealed
 from factory.stage import Stage
-from factory.store import Store, token_of
+from factory.store import LocalStore, Store, token_of
 from schemas.canonical import JSON, digest
-from schemas.errors import CorruptShardError, StoreError, UsageError
+from schemas.errors import CorruptShardError, MissingFileError, StoreError, UsageError
 from schemas.snapshot import (
+    STORE_VERSION,
     PartitionRecord,
     PartRecord,
     Ref,
@@ -41,65 +45,53 @@ from schemas.snapshot import (
     TableManifest,
 )
 
-__all__ = ["Composition", "Snapshot", "damaged_parts", "read_manifest", "read_ref"]
+__all__ = ["COPIES_KEPT", "Composition", "Snapshot", "damaged_parts", "local_copy", "read_manifest", "read_ref"]
 
 
 @dataclass(frozen=True)
 class Composition:
     """The content of a snapshot, known from the index alone, before any file of it is written.
 
-    sizes : for each (table, partition) the canonical bytes of all rows
+    members : for each (table, partition) the units and stages whose rows belong there, see ``PackJob``
     hashes : for each (table, partition) the hash over all rows
     """
 
     pipeline: Pipeline
-    index: BatchedTable
-    sizes: Mapping[tuple[str, str], int]
+    index: Index
+    members: Mapping[tuple[str, str], pa.Table]
     hashes: Mapping[tuple[str, str], str]
     snapshot_id: str
 
     @classmethod
-    def of(cls, pipeline: Pipeline, index: BatchedTable) -> Composition:
-        """Compose a snapshot of ``pipeline`` from a unit index that is sorted by unit id."""
-        states: dict[str, dict[str, Any]] = {name: {} for name in sorted(pipeline.tables)}
-        sizes: Counter[tuple[str, str]] = Counter()
-        for batch, here, partition in _partitions(index, index.schema.names):
-            for name, known in states.items():
-                members = _members(batch, here, name, pipeline.tables[name].stages)
-                hash_members(known.setdefault(partition, hashlib.sha256()), members)
-                sizes[name, partition] += size(members)
-        hashes: dict[tuple[str, str], str] = {}
+    def of(cls, pipeline: Pipeline, index: Index) -> Composition:
+        """Compose a snapshot of ``pipeline`` from a unit index."""
+        done = index.table.filter(pc.not_equal(index.table.column("status"), "quarantined"))
+        members: dict[tuple[str, str], pa.Table] = {}
+        for partition in sorted(pc.unique(done.column("partition")).to_pylist()):
+            units = done.filter(pc.equal(done.column("partition"), partition))
+            for name in pipeline.tables:
+                members[name, partition] = _members(units, name, pipeline.writers(name))
+        hashes = {}
         document: dict[str, JSON] = {}
-        for name, known in states.items():
-            spec = pipeline.tables[name]
+        for name, spec in sorted(pipeline.tables.items()):
             sums: dict[str, JSON] = {}
-            for partition in sorted(known):
-                hashes[name, partition] = sums[partition] = known[partition].hexdigest()[:32]
+            for (table, partition), found in members.items():
+                if table == name:
+                    state = hashlib.sha256()
+                    hash_members(state, found)
+                    hashes[name, partition] = sums[partition] = state.hexdigest()[:32]
             document[name] = {"schema": schema_hash(spec.schema), "sort": list(spec.sort_keys), "partitions": sums}
         snapshot_id = digest({"pipeline": pipeline.name, "tables": document})[:32]
-        return cls(pipeline, index, sizes, hashes, snapshot_id)
-
-    def bucket_count(self, table: str, partition: str, part_bytes: int) -> int:
-        """Return into how many files the rows of one table and partition are divided."""
-        return bucket_count(self.sizes[table, partition], part_bytes)
+        return cls(pipeline, index, members, hashes, snapshot_id)
 
     def jobs(self, part_bytes: int) -> Iterator[PackJob]:
         """Return the pack jobs for the files of the snapshot."""
         for table, partition in self.hashes:
             spec = self.pipeline.tables[table]
-            members = Members(partial(self._members, table, partition))
-            for bucket, share in buckets(members, self.bucket_count(table, partition, part_bytes)):
+            whole = self.members[table, partition]
+            for bucket, share in buckets(whole, bucket_count(size(whole), part_bytes)):
                 path = f"snapshots/{self.snapshot_id}/{table}/source={partition}/part-{bucket:05d}.parquet"
-                content, whole = content_of(spec, share)
-                yield PackJob(table, partition, bucket, path, content, share, whole)
-
-    def _members(self, table: str, partition: str) -> Iterator[pa.Table]:
-        stages = self.pipeline.tables[table].stages
-        columns = ["unit_id", "partition", "status", *(f"{stage}.key" for stage in stages)]
-        columns += [f"{stage}/{table}.{what}" for stage in stages for what in ("rows", "hash", "bytes")]
-        for batch, here, found in _partitions(self.index, columns):
-            if found == partition:
-                yield _members(batch, here, table, stages)
+                yield PackJob(table, partition, bucket, path, content_of(spec, share), share, size(share))
 
     def manifest(
         self,
@@ -121,75 +113,50 @@ class Composition:
                 if table == name
             }
             tables[name] = TableManifest(
-                stages=list(spec.stages),
+                stages=self.pipeline.writers(name),
                 columns=spec.schema.names,
                 sort_keys=list(spec.sort_keys),
                 rows=sum(partition.rows for partition in partitions.values()),
                 partitions=partitions,
             )
-        status: Counter[str] = Counter()
-        sums: dict[str, Counter[str]] = {stage.name: Counter() for stage in self.pipeline.stages}
-        for _, batch in batches(self.index):
-            counted = pc.value_counts(batch.column("status")).to_pylist()
-            status.update({item["values"]: item["counts"] for item in counted})
-            for stage in self.pipeline.stages:
-                _add(sums[stage.name], batch, stage)
+        counted = pc.value_counts(self.index.table.column("status")).to_pylist()
         return SnapshotManifest(
             snapshot_id=self.snapshot_id,
             pipeline=self.pipeline.name,
             tables=tables,
-            units=dict(status),
+            units={item["values"]: item["counts"] for item in counted},
             aggregates=dict(aggregates),
             shared=dict(shared),
-            stages={stage.name: _totals(stage, sums[stage.name]) for stage in self.pipeline.stages},
+            stages={stage.name: _totals(stage, self.index.table) for stage in self.pipeline.stages},
             provenance=dict(provenance),
         )
 
 
-def _add(sums: Counter[str], batch: pa.RecordBatch, stage: Stage) -> None:
-    """Add what a batch of an index says of a stage."""
+def _totals(stage: Stage, index: pa.Table) -> StageTotals:
+    """Sum what an index says of a stage."""
 
     def total(name: str) -> Any:
-        return pc.sum(batch.column(f"{stage.name}{name}")).as_py() or 0
+        return pc.sum(index.column(f"{stage.name}{name}")).as_py() or 0
 
-    sums["units"] += pc.count(batch.column(f"{stage.name}.key")).as_py()
-    sums["skipped"] += total(".skipped")
-    sums["seconds"] += total(".seconds")
-    sums["peak_rss"] = max(sums["peak_rss"], pc.max(batch.column(f"{stage.name}.peak_rss")).as_py() or 0)
-    sums["rows"] += sum(total(f"/{table}.rows") for table in stage.tables)
-    sums["bytes"] += sum(total(f"/{table}.bytes") for table in stage.tables)
-
-
-def _totals(stage: Stage, sums: Counter[str]) -> StageTotals:
     return StageTotals(
         version=stage.version,
-        units=sums["units"],
-        skipped=sums["skipped"],
-        seconds=round(float(sums["seconds"]), 3),
-        peak_rss=sums["peak_rss"],
-        rows=sums["rows"],
-        bytes=sums["bytes"],
+        units=pc.count(index.column(f"{stage.name}.key")).as_py(),
+        skipped=total(".skipped"),
+        seconds=round(float(total(".seconds")), 3),
+        peak_rss=pc.max(index.column(f"{stage.name}.peak_rss")).as_py() or 0,
+        rows=sum(total(f"/{table}.rows") for table in stage.tables),
+        bytes=sum(total(f"/{table}.bytes") for table in stage.tables),
     )
 
 
-def _partitions(index: BatchedTable, columns: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Array, str]]:
-    """Go through an index; yield (some rows, mask of those that are of a partition and not quarantined, partition)."""
-    for _, batch in batches(index, columns):
-        done = pc.not_equal(batch.column("status"), "quarantined")
-        for partition in pc.unique(batch.column("partition").filter(done)).to_pylist():
-            yield pa.table(batch), pc.and_(done, pc.equal(batch.column("partition"), partition)), partition
-
-
-def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...]) -> pa.Table:
-    """Return one row for each pair of a unit and a stage that wrote rows of ``table``. The units are those that the
-    mask ``here`` selects; the rows are sorted by unit id, then by the order of ``stages``.
+def _members(units: pa.Table, table: str, stages: Sequence[str]) -> pa.Table:
+    """Return one row for each pair of a unit of an index and a stage that wrote rows of ``table``, sorted by unit id,
+    then by the order of ``stages``.
     """
     parts = []
     for order, stage in enumerate(stages):
         prefix = f"{stage}/{table}"
-        rows = pc.fill_null(pc.greater(index.column(f"{prefix}.rows"), 0), False)
-        names = ["unit_id", f"{stage}.key", f"{prefix}.hash", f"{prefix}.bytes"]
-        there = index.select(names).filter(pc.and_(here, rows))
+        there = units.filter(pc.fill_null(pc.greater(units.column(f"{prefix}.rows"), 0), False))
         columns = {
             "unit_id": there.column("unit_id"),
             "stage": pa.repeat(pa.scalar(stage), there.num_rows),
@@ -199,9 +166,7 @@ def _members(index: pa.Table, here: pa.Array, table: str, stages: tuple[str, ...
             "order": pa.repeat(pa.scalar(order, pa.int8()), there.num_rows),
         }
         parts.append(pa.table(columns))
-    whole = pa.concat_tables(parts)
-    if len(parts) > 1:
-        whole = whole.sort_by([("unit_id", "ascending"), ("order", "ascending")])
+    whole = pa.concat_tables(parts).sort_by([("unit_id", "ascending"), ("order", "ascending")])
     return whole.drop_columns(["order"])
 
 
@@ -215,22 +180,20 @@ def read_ref(store: Store, name: str) -> tuple[Ref | None, str | None]:
     try:
         return unsealed(Ref, data), token_of(data)
     except ValueError as error:
+        where = f"{store.url}/{path}"
+        with suppress(ValueError, AttributeError):
+            if json.loads(data).get("store_version", 1) != STORE_VERSION:
+                raise StoreError(
+                    "this store was written by another release of CondVLN, whose files this one does not read",
+                    where=where,
+                    remedy="Remove the store, or name another one in the configuration, and run condvln generate "
+                    "CONFIG again.",
+                ) from error
         raise CorruptShardError(
-            f"the ref is damaged: {_first_line(error)}",
-            where=f"{store.url}/{path}",
+            f"the ref is damaged: {next(iter(str(error).splitlines()), '')}",
+            where=where,
             remedy="Remove the file and run condvln generate CONFIG: what is committed is published again.",
         ) from error
-
-
-def _repeated(text: str, count: int) -> pa.Array:
-    """Return an array of one text `count` times. To convert Python's objects, pyarrow would import pandas."""
-    data = text.encode()
-    offsets = np.arange(count + 1, dtype=np.int32) * len(data)
-    return pa.Array.from_buffers(pa.string(), count, [None, pa.py_buffer(offsets), pa.py_buffer(data * count)])
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def ref_path(name: str) -> str:
@@ -264,10 +227,8 @@ def damaged_parts(store: Store, snapshot_id: str) -> Iterator[str]:
     for file in manifest.files():
         path = f"snapshots/{snapshot_id}/{file.path}"
         try:
-            data = store.read(path)
-        except FileNotFoundError:
-            data = b""
-        if hashlib.sha256(data).hexdigest() != file.sha256:
+            verified(store, path, file.sha256)
+        except CorruptShardError:
             yield path
 
 
@@ -294,7 +255,7 @@ class Snapshot:
             raise CorruptShardError(
                 "the manifest of the published snapshot is missing or damaged",
                 where=f"{store.url}/{manifest_path(found.snapshot_id)}",
-                remedy="Run condvln rebuild CONFIG, which writes the manifest again.",
+                remedy="Run condvln generate CONFIG, which writes the manifest again.",
             )
         return cls(store, manifest, found.index)
 
@@ -316,16 +277,6 @@ class Snapshot:
             for part in partitions[name].parts
         )
 
-    def local_paths(self, table: str) -> tuple[Path, ...]:
-        """Return the paths of a table's files on this machine's disk. Raises ``StoreError`` for a store that is not on
-        this disk.
-        """
-        found = tuple(self.store.local_path(path) for path in self.paths(table))
-        local = tuple(path for path in found if path is not None)
-        if len(local) != len(found):
-            raise StoreError("the files are not on this machine's disk", where=self.store.url)
-        return local
-
     def table(
         self,
         name: str,
@@ -337,7 +288,7 @@ class Snapshot:
 
         narrowed : returns what is kept of the rows of a file, so that not all rows of a large table are in memory
 
-        Raises ``CorruptShardError`` when a file differs from the manifest.
+        Raises ``CorruptShardError`` when a file is missing or differs from the manifest.
         """
         tables = []
         for source, record in sorted(self.manifest.tables[name].partitions.items()):
@@ -345,32 +296,26 @@ class Snapshot:
                 continue
             for part in record.parts:
                 path = f"snapshots/{self.snapshot_id}/{part.path}"
-                where = f"{self.store.url}/{path}"
-                try:
-                    data = self.store.read(path)
-                except FileNotFoundError as error:
-                    raise CorruptShardError(
-                        "a published file is missing", where=where, remedy=REBUILD_VERIFIED
-                    ) from error
-                if hashlib.sha256(data).hexdigest() != part.sha256:
-                    raise CorruptShardError("the file differs from the manifest", where=where, remedy=REBUILD_VERIFIED)
-                rows = narrowed(parquet_table(data, where, columns))
-                tables.append(rows.append_column("source", _repeated(source, rows.num_rows)))
+                data = verified(self.store, path, part.sha256)
+                rows = narrowed(parquet_table(data, f"{self.store.url}/{path}", columns))
+                tables.append(rows.append_column("source", pa.repeat(pa.scalar(source), rows.num_rows)))
         return pa.concat_tables(tables) if tables else pa.table({})
 
+    @cached_property
     def index(self) -> Index:
-        """Return the unit index that this snapshot was published from."""
+        """The unit index that this snapshot was published from."""
         return Index.read(self.store, self.index_hash)
 
     def unit_files(self, unit_id: str, pipeline: Pipeline) -> dict[str, bytes]:
-        """Return the names and content of files that a unit's stages kept. Raises ``UsageError`` on an unknown unit."""
+        """Return the names and content of files that a unit's stages kept.
+
+        Raises ``UsageError`` on an unknown unit, ``CorruptShardError`` where one is damaged or was swept away.
+        """
         commits = Commits(self.store)
         found = {}
         for stage in self._stages(unit_id, pipeline):
-            committed = commits.find(stage.stage, stage.key.hex(), discard=False)
-            if committed is not None:
-                commit = committed.commit
-                found.update({name: commits.file(commit, name) for name in commit.files})
+            commit = commits.commit(stage.stage, stage.key.hex())
+            found.update({name: commits.file(commit, name) for name in commit.files})
         return found
 
     def unit_table(self, unit_id: str, pipeline: Pipeline, name: str) -> pa.Table:
@@ -388,11 +333,74 @@ class Snapshot:
         return pa.table({})
 
     def _stages(self, unit_id: str, pipeline: Pipeline) -> tuple[StageReceipt, ...]:
-        row = int(self._index.rows_of([unit_id])[0])
+        row = self.index.row_of(unit_id)
         if row < 0:
             raise UsageError(f"no unit {unit_id!r} is published")
-        return self._index.receipt(row, pipeline).stages
+        return self.index.receipt(row, pipeline).stages
 
-    @cached_property
-    def _index(self) -> Index:
-        return self.index()
+
+FETCHERS: Final = 4
+"""Number of files that are fetched at once: each may take some tens of megabytes of memory."""
+
+COPIES_KEPT: Final = 3
+"""Number of copies of snapshots that are kept, the requested one included. Others are removed after a day without
+use."""
+
+IDLE_SECONDS: Final = 24 * 3600.0
+
+
+def local_copy(
+    snapshot: Snapshot, cache: Path, tables: Iterable[str] | None = None, hashes: FileHashes | None = None
+) -> Path:
+    """Return the folder of ``snapshot`` on this disk, with ``<table>/source=<partition>/part-*.parquet`` below it.
+
+    cache : where copies of snapshots stand, in ``snapshots/<id>``; not touched when the store itself is on this disk
+    tables : those that are needed; all by default
+    hashes : memory of the files' hashes; without one every file is read
+
+    Raises ``CorruptShardError`` when a file is missing or differs from the manifest.
+    """
+    hashes = hashes or FileHashes()
+    manifest = snapshot.manifest
+    wanted = manifest.tables if tables is None else [name for name in manifest.tables if name in set(tables)]
+    parts = [
+        part for name in wanted for partition in manifest.tables[name].partitions.values() for part in partition.parts
+    ]
+    folder = f"snapshots/{snapshot.snapshot_id}"
+    own = snapshot.store.local_path(folder)
+    copies = LocalStore(cache if own is None else own.parents[1], durable=False)
+
+    def check(part: PartRecord) -> None:
+        path = f"{folder}/{part.path}"
+        copies.local_path(path)  # a manifest's path that leads out of the folder ends here
+        with suppress(MissingFileError):
+            if hashes.file(copies.root, path).sha256 == part.sha256:
+                return
+        data = verified(snapshot.store, path, part.sha256)
+        if own is None:
+            copies.write(path, data)
+
+    with ThreadPoolExecutor(FETCHERS) as pool:
+        for _ in pool.map(check, parts):
+            pass
+    hashes.save()
+    if own is not None:
+        return own
+    copies.write(f"{folder}/manifest.json", manifest.model_dump_json(indent=1).encode())
+    _forget(cache / "snapshots", snapshot.snapshot_id)
+    return cache / folder
+
+
+def _forget(folder: Path, used: str) -> None:
+    """Remove copies of snapshots that were not used recently."""
+
+    def last_use(copy: Path) -> float:
+        try:
+            return (copy / "manifest.json").stat().st_mtime
+        except OSError:
+            return 0.0
+
+    others = sorted((copy for copy in folder.iterdir() if copy.name != used), key=last_use, reverse=True)
+    for copy in others[COPIES_KEPT - 1 :]:
+        if time.time() - max(last_use(copy), os.stat(copy).st_mtime) > IDLE_SECONDS:
+            shutil.rmtree(copy, ignore_errors=True)

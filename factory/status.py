@@ -104,7 +104,7 @@ def _damage(store: Store, ref: Ref, manifest: SnapshotManifest | None) -> Iterat
     except CorruptShardError as error:
         yield f"{error.where}: {error.what}"
     else:
-        lost = len(index) - Inventory(commits, index).whole.count()
+        lost = len(index) - int(Inventory(commits, index).whole.sum())
         if lost:
             yield f"{store.url}/units: files of {lost} scenes are missing or cut"
     if manifest is not None:
@@ -137,14 +137,14 @@ def drift(pipeline: Pipeline, store: Store, ref: str = "main") -> tuple[Aggregat
     """
     commits = Commits(store)
     pins = Pins(pipeline.name, pipeline.aggregates, commits, ref)
-    index = Snapshot.open(store, ref).index()
+    index = Snapshot.open(store, ref).index
     shared = SharedTables(commits, pins.hashes())
     found = []
     for aggregate in pipeline.aggregates:
         pinned = pins.pin.tables.get(aggregate.name)
         if pinned is None or aggregate.name not in shared.hashes:
             continue
-        now, units = build_aggregate(aggregate, commits, index.receipts(range(len(index)), pipeline))
+        now, units = build_aggregate(aggregate, commits, index.receipts(pipeline))
         before = shared.of((aggregate.name,))[aggregate.name]
         one = Counter(map(repr, before.to_pylist()))
         two = Counter(map(repr, now.to_pylist()))

@@ -13,16 +13,15 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
 from pydantic import ValidationError
 
 from factory.index import Index, failed_keys
-from factory.local_store import LocalStore
-from factory.scratch import BatchedTable, batches
 from factory.snapshot import manifest_path, read_manifest, read_ref
-from factory.store import Entry, Store
+from factory.store import Entry, LocalStore, Store
 from schemas.errors import CorruptShardError
 from schemas.snapshot import Pin, Published
 
@@ -40,7 +39,7 @@ _KINDS: Final = ("snapshots", "indexes", "units", "aggregates", "quarantine", "r
 @dataclass
 class SweepReport:
     """The result of a sweep: number and bytes of the removed files by folder, and the ids of the kept and the removed
-    snapshots. After a dry run, "removed" means what a sweep would remove.
+    snapshots.
 
     unreadable : indexes and manifests of kept states that are gone or damaged: because of them no unit went
     """
@@ -52,122 +51,88 @@ class SweepReport:
     unreadable: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Live:
-    snapshots: frozenset[str]
-    indexes: frozenset[str]
-    units: frozenset[tuple[str, str]]
-    aggregates: frozenset[tuple[str, str]]
-    quarantine: frozenset[tuple[str, str]]
-    runs: frozenset[str]
-    logs: frozenset[str]
-    unreadable: tuple[str, ...]
-
-
-def sweep(
-    store: Store, *, keep: int = 3, grace: float = GRACE_SECONDS, dry_run: bool = False, now: float | None = None
-) -> SweepReport:
+def sweep(store: Store, *, keep: int = 3, grace: float = GRACE_SECONDS, now: float | None = None) -> SweepReport:
     """Remove what no ref needs.
 
     keep : snapshots kept for each ref, the published one included (at least 1)
     grace : seconds for which whatever was written stays, needed or not
-    dry_run : only tell
     now : seconds since 1970; the clock by default
     """
     before = (time.time() if now is None else now) - grace
-    live = _live(store, max(keep, 1))
-    report = SweepReport(kept=tuple(sorted(live.snapshots)), unreadable=live.unreadable)
+    live, unreadable = _live(store, max(keep, 1))
+    kept = sorted(name for kind, name in live if kind == "snapshots")
+    report = SweepReport(kept=tuple(kept), unreadable=tuple(unreadable))
     gone = set()
     for kind in _KINDS:
         for folder, entries in _whole(store, kind, before):
-            if _is_live(kind, folder, live):
+            if (kind, folder) in live or (unreadable and kind in ("units", "aggregates", "quarantine")):
+                continue
+            if kind == "units" and folder.count("/") < 2:  # where no unit stands: a person put it there
                 continue
             if kind == "snapshots":
                 # Someone may have published it again since we looked, or be about to: its manifest is young then.
-                if not dry_run and (
+                if (
                     any(entry.modified >= before for entry in store.list(f"snapshots/{folder}"))
-                    or folder in _live(store, max(keep, 1)).snapshots
+                    or (kind, folder) in _live(store, max(keep, 1))[0]
                 ):
                     continue
                 gone.add(folder)
             for entry in entries:
                 report.files[kind] += 1
                 report.bytes[kind] += entry.size
-                if not dry_run:
-                    store.delete(entry.path)
+                store.delete(entry.path)
     report.removed = tuple(sorted(gone))
     if isinstance(store, LocalStore):
-        _unfinished(store, before, dry_run, report)
+        _unfinished(store, before, report)
     return report
 
 
-def _unfinished(store: LocalStore, before: float, dry_run: bool, report: SweepReport) -> None:
+def _unfinished(store: LocalStore, before: float, report: SweepReport) -> None:
     for path in [*store.unfinished()]:
-        try:
+        with suppress(FileNotFoundError):  # it was finished meanwhile
             stat = path.stat()
             if stat.st_mtime < before:
                 report.files["unfinished"] += 1
                 report.bytes["unfinished"] += stat.st_size
-                if not dry_run:
-                    path.unlink()
-        except FileNotFoundError:
-            continue
+                path.unlink()
 
 
-def _live(store: Store, keep: int) -> _Live:
+def _live(store: Store, keep: int) -> tuple[set[tuple[str, str]], list[str]]:
+    """Return (kind, name) of everything that is kept, named as ``_whole`` does, and the paths of indexes and manifests
+    that can't be read.
+    """
+    live = {(kind, name) for kind in ("runs", "logs") for name in _latest(store, kind)}
+    unreadable = []
     states: list[Published] = []
     for entry in store.list("refs"):
         ref, _ = read_ref(store, entry.path.split("/")[1].removesuffix(".json"))
         if ref is not None:
             states += [ref, *ref.history][:keep]
-    units: set[tuple[str, str]] = set()
-    quarantine: set[tuple[str, str]] = set()
-    aggregates: set[tuple[str, str]] = set()
-    unreadable = []
     for state in states:
+        live |= {("snapshots", state.snapshot_id), ("indexes", f"{state.index}.parquet")}
         try:
-            index = Index.read(store, state.index).rows
-            units |= {*_keys(index)}
-            quarantine |= failed_keys(index)
+            index = Index.read(store, state.index)
+            live |= {("units", f"{stage}/{key[:2]}/{key}") for stage, key in index.stage_keys()}
+            live |= {("quarantine", f"{stage}/{key}.json") for stage, key in failed_keys(index)}
         except CorruptShardError:
             unreadable.append(Index.path(state.index))
         manifest = read_manifest(store, state.snapshot_id)
         if manifest is not None:
-            aggregates |= {*manifest.aggregates.items()}
+            live |= {("aggregates", f"{name}/{found}.parquet") for name, found in manifest.aggregates.items()}
         else:
             unreadable.append(manifest_path(state.snapshot_id))
     for entry in store.list("pins"):
-        try:
+        with suppress(FileNotFoundError, ValidationError):
             pin = Pin.model_validate_json(store.read(entry.path))
-        except (FileNotFoundError, ValidationError):
-            continue
-        aggregates |= {(name, pinned.hash) for name, pinned in pin.tables.items()}
-    return _Live(
-        snapshots=frozenset(state.snapshot_id for state in states),
-        indexes=frozenset(state.index for state in states),
-        units=frozenset(units),
-        aggregates=frozenset(aggregates),
-        quarantine=frozenset(quarantine),
-        runs=_latest(store, "runs"),
-        logs=_latest(store, "logs"),
-        unreadable=tuple(unreadable),
-    )
+            live |= {("aggregates", f"{name}/{pinned.hash}.parquet") for name, pinned in pin.tables.items()}
+    return live, unreadable
 
 
-def _latest(store: Store, kind: str) -> frozenset[str]:
+def _latest(store: Store, kind: str) -> list[str]:
     """Return the names of the files of the latest runs in the folder ``kind``. Sorting by name finds them, since each
     name begins with the start time of its run.
     """
-    return frozenset(sorted(entry.path.split("/")[1] for entry in store.list(kind))[-RUNS_KEPT:])
-
-
-def _keys(index: BatchedTable) -> Iterator[tuple[str, str]]:
-    for name in index.schema.names:
-        stage, _, last = name.rpartition(".")
-        if last == "key" and stage != "failure":
-            for _, batch in batches(index, [name]):
-                for key in batch.column(0).drop_null().to_pylist():
-                    yield stage, key.hex()
+    return sorted(entry.path.split("/")[1] for entry in store.list(kind))[-RUNS_KEPT:]
 
 
 def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[Entry]]]:
@@ -183,20 +148,3 @@ def _whole(store: Store, kind: str, before: float) -> Iterator[tuple[str, list[E
         if max(entry.modified for entry in entries) < before:
             entries.sort(key=lambda entry: not entry.path.endswith(("/unit.json", "/manifest.json")))
             yield name, entries
-
-
-def _is_live(kind: str, name: str, live: _Live) -> bool:
-    parts = name.split("/")
-    if kind == "snapshots":
-        return name in live.snapshots
-    if kind == "indexes":
-        return name.removesuffix(".parquet") in live.indexes
-    if live.unreadable and kind in ("units", "aggregates", "quarantine"):
-        return True
-    if kind == "units":
-        # What stands elsewhere than a unit does was put there by hand.
-        return len(parts) < 3 or (parts[0], parts[2]) in live.units
-    if kind in ("aggregates", "quarantine"):
-        stem = parts[-1].rsplit(".", 1)[0]
-        return (parts[0], stem) in (live.aggregates if kind == "aggregates" else live.quarantine)
-    return name in (live.runs if kind == "runs" else live.logs)

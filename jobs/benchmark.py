@@ -4,10 +4,15 @@ check that they give the published version.
 What a version is made of is frozen in one file. A build writes ``benchmark.json`` into its export: the snapshot's id,
 the versions, and for each scene the hash of its source files and of its rows. `check` makes the rows from other copies
 and compares: equal ids, or the scenes that differ and why.
+
+``python -m jobs.benchmark configs/benchmark-v2.yaml benchmark-v2`` makes a draft final. The second argument is the
+release, or the tag in the repository, by which users find the code that builds it.
 """
 
 from __future__ import annotations
 
+import argparse
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,25 +21,23 @@ from pathlib import Path
 from typing import Any, Final
 
 import orjson
+import yaml
 from pydantic import ValidationError
 from rich.console import Console
 
 from condvln.export.contents import read_index
 from condvln.export.splits import SPLITS
 from condvln.formats.streams import atomic_stream
-from condvln.manifest.manifest import manifest_path, read_manifest
-from factory.index import Index
-from factory.key import Keyer
+from condvln.manifest import manifest_path, read_manifest
 from factory.snapshot import Snapshot
-from jobs.benchmark_tables import cell_table, part_lines, short_lines, source_table, stop_table
+from jobs.agents import datasets_of
 from jobs.configuration import load_config
-from jobs.frozen_benchmark import other_parts, other_versions, portable
 from jobs.generate import run_generate
-from jobs.looker import datasets_of
-from jobs.pipeline import build_pipeline, code_versions, list_units
+from jobs.pipeline import code_versions
 from jobs.report import Report, Section
-from jobs.workspace import file_hashes, hasher, published
-from jobs.yaml_file import read_yaml
+from jobs.settings import read_yaml
+from jobs.workspace import published
+from schemas.base import first_fault
 from schemas.benchmark import (
     BenchmarkCell,
     BenchmarkFile,
@@ -43,11 +46,27 @@ from schemas.benchmark import (
     BenchmarkSource,
     BenchmarkStops,
 )
+from schemas.canonical import digest
 from schemas.config import Config
 from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
-from schemas.first_fault import first_fault
 
-__all__ = ["RECORD", "Benchmark", "build_benchmark", "check_benchmark", "read_record"]
+__all__ = [
+    "RECORD",
+    "Benchmark",
+    "build_benchmark",
+    "cell_table",
+    "check_benchmark",
+    "freeze",
+    "frozen_parts",
+    "other_parts",
+    "other_versions",
+    "part_lines",
+    "portable",
+    "read_record",
+    "short_lines",
+    "source_table",
+    "stop_table",
+]
 
 RECORD: Final = "benchmark.json"
 """File name of the record in the export's folder."""
@@ -114,7 +133,7 @@ def _own_sources(run: Path, roots: Mapping[str, Path]) -> list[str]:
     if strange:
         raise UsageError(
             f"the benchmark has no scenes of {', '.join(strange)}",
-            place="--scenes",
+            place="--data",
             remedy=f"It has scenes of {', '.join(sorted(families))}.",
         )
     kept = [
@@ -184,8 +203,8 @@ def check_benchmark(
     console: Console | None = None,
 ) -> Report:
     """Process your copies of the datasets that the configuration names, and compare the resulting rows with a published
-    record. Where this installation has other versions of the code, its rows can't be the published ones: only the
-    scenes' files are compared then, and no stage runs.
+    record. Where this installation has other versions of the code, its rows can't be the published ones, and no stage
+    runs.
 
     The exit code is 0 where the snapshot has the published id, else 3.
 
@@ -204,10 +223,16 @@ def check_benchmark(
         )
     keys = _key_lines(theirs.configuration, portable(benchmark.config))
     here = code_versions(benchmark.config)
-    # Records of former drafts name the stages only.
-    other = other_versions(theirs.stages, {name: here[name] for name in here if name in theirs.stages}, "published")
+    other = other_versions(theirs.stages, here, "published")
     if other:
-        return _files_report(benchmark, theirs, other, keys)
+        lines = [
+            "ROWS NOT COMPARED: the code of this release has other versions, so it can't make the published rows: "
+            f"{other}",
+            *keys,
+        ]
+        if not benchmark.file.draft:
+            lines.append(f"{_code_of(benchmark.file)}, to compare the rows")
+        return _check_report(theirs, lines, [], snapshot_id=None, same=None)
     run = run_generate(benchmark.config.model_copy(update={"export": None}), inline=inline, console=console)
     if run.exit_code not in (0, ProofError.exit_code):
         return run
@@ -221,32 +246,6 @@ def check_benchmark(
         *keys,
     ]
     return _check_report(theirs, lines, differences, snapshot_id=snapshot.snapshot_id, same=same)
-
-
-def _files_report(benchmark: Benchmark, theirs: BenchmarkRecord, other: str, keys: Sequence[str]) -> Report:
-    """Report which scenes have other files than published; for an installation that can't make the published rows."""
-    keyer = Keyer(build_pipeline(benchmark.config))
-    here = {
-        unit.unit_id: None if unit.fault else keyer.key(unit, 0, {}, None).inputs.hex()
-        for unit in list_units(benchmark.config, hasher(file_hashes(benchmark.config)))
-    }
-    differences = []
-    for scene in sorted(theirs.scenes.keys() | here.keys()):
-        if scene not in here:
-            differences.append((scene, _NOT_HERE))
-        elif scene not in theirs.scenes:
-            differences.append((scene, _NOT_THERE))
-        elif here[scene] != theirs.scenes[scene].inputs:
-            differences.append((scene, "its files differ" if here[scene] else "it can't be read here"))
-    count = len(theirs.scenes.keys() | here.keys()) - len(differences)
-    lines = [
-        f"ROWS NOT COMPARED: the code of this release has other versions, so it can't make the published rows: {other}",
-        f"the files of {count:,} of {len(theirs.scenes):,} published scenes are here and the same",
-        *keys,
-    ]
-    if not benchmark.file.draft:
-        lines.append(f"{_code_of(benchmark.file)}, to compare the rows")
-    return _check_report(theirs, lines, differences, snapshot_id=None, same=None)
 
 
 def _check_report(
@@ -365,7 +364,7 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
 
 def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
     """Yield (name, scene) of each scene, from the index of units."""
-    table = Index.read(snapshot.store, snapshot.index_hash).table
+    table = snapshot.index.table
     stages = list(snapshot.manifest.stages)
     hashes = [
         f"{stage}/{name}.hash"
@@ -432,3 +431,165 @@ def _refuse_other_code(path: Path, benchmark: Benchmark) -> None:
 def _key_lines(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
     other = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
     return [f"the configuration differs in: {', '.join(other)}"] if other else []
+
+
+def source_table(file: BenchmarkFile, record: BenchmarkRecord) -> Section:
+    """Return the table of the scenes, instructions and episodes of each family, beside the number of scenes that the
+    run takes of whole copies.
+    """
+    rows = [(name, s.scenes, file.scenes.get(name), s.instructions, s.episodes) for name, s in record.sources.items()]
+    return Section("Sources", ("source", "scenes", "taken of whole copies", "instructions", "episodes"), [*rows])
+
+
+def short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
+    """Yield report lines about what the benchmark lacks: the number of instructions if there are too few, and the cells
+    of each split that are below the floor.
+    """
+    if record.instructions < file.instructions:
+        yield f"SHORT: {record.instructions:,} instructions of {file.instructions:,}"
+    for split in file.splits:
+        cells = [cell for cell in record.cells if cell.split == split]
+        short = [cell for cell in cells if cell.shortfall]
+        empty = sorted({c.source for c in cells} - {c.source for c in cells if c.episodes})
+        if not short:
+            continue
+        named = ", ".join(f"{c.source} {c.category} {c.episodes}" for c in short if c.source not in empty)
+        none = f"; nothing from {', '.join(empty)}" if empty else ""
+        yield (
+            f"SHORT: split {split}: {len(short)} of {len(cells)} cells have fewer than {file.floor} episodes"
+            f"{': ' if named else ''}{named}{none}"
+        )
+
+
+def part_lines(file: BenchmarkFile, record: BenchmarkRecord) -> list[str]:
+    """Return a report line about the families of which scenes are missing, and one about scenes that are there and
+    were quarantined or skipped; no line where there are none.
+    """
+    here = Counter(scene.partition("/")[0] for scene in record.scenes)
+    parts = [f"{name} {here[name]} of {whole} scenes" for name, whole in file.scenes.items() if here[name] < whole]
+    refused = Counter(
+        (scene.partition("/")[0], found.status) for scene, found in record.scenes.items() if found.status != "ok"
+    )
+    lines = []
+    if parts:
+        lines.append(
+            "a build of a part of the scenes, so its snapshot id differs from that of a whole build: "
+            f"{', '.join(parts)}"
+        )
+    if refused:
+        told = [f"{family} {number} {status}" for (family, status), number in sorted(refused.items())]
+        lines.append(f"scenes without rows: {', '.join(told)}")
+    return lines
+
+
+def cell_table(file: BenchmarkFile, record: BenchmarkRecord) -> Section:
+    """Return the table of the number of episodes by split and source; a number below the floor is given "of" it."""
+    found = {(cell.split, cell.source, cell.category): cell for cell in record.cells}
+    categories = [*dict.fromkeys(cell.category for cell in record.cells)]
+    rows = []
+    for split, source in dict.fromkeys((cell.split, cell.source) for cell in record.cells):
+        cells = [found.get((split, source, category)) for category in categories]
+        told = [None if c is None else f"{c.episodes} of {file.floor}" if c.shortfall else c.episodes for c in cells]
+        rows.append((split, source, *told))
+    return Section("Episodes", ("split", "source", *categories), [*rows])
+
+
+def stop_table(config: Config, record: BenchmarkRecord) -> Section:
+    """Return the table of the shares of leaves with no, one and two stops before their goal, beside those asked."""
+    sampling, rows = config.sampling, []
+    for one in record.stops:
+        asked = sampling.moves if one.leaves < 4 else (*sampling.moves_four_leaves, 0.0)
+        shares = [f"{100 * count / sum(one.stops):.1f}" for count in one.stops]
+        told = " / ".join(f"{100 * share:g}" for share in asked)
+        rows.append((one.split, one.leaves, sum(one.stops), " / ".join(shares), told))
+    columns = ("split", "leaves of a program", "leaves in all", "none / one / two, %", "asked")
+    return Section("Stops before the goal", columns, [*rows])
+
+
+_OF_THIS_MACHINE: Final = {"store", "export", "ray", "keep", "limits"}
+_PATHS: Final = {"root", "regions", "houses", "connectivity"}
+_UNFROZEN: Final = {"name", "sources"}
+_DRAFT: Final = "-draft"
+
+
+def portable(config: Config) -> dict[str, Any]:
+    """Return the part of the configuration that affects rows, without paths of this machine."""
+    document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
+    document["sources"] = [
+        {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]
+    ]
+    return document
+
+
+def frozen_parts(config: Config) -> dict[str, str]:
+    """Return the SHA-256 of each section of the configuration that affects rows, and of the sources of each family
+    (``sources.<family>``).
+    """
+    document = portable(config)
+    families: dict[str, list[Any]] = {}
+    for source in document["sources"]:
+        families.setdefault(f"sources.{source['family']}", []).append(source)
+    sections = {key: value for key, value in document.items() if key not in _UNFROZEN}
+    return {name: digest(value) for name, value in sorted({**sections, **families}.items())}
+
+
+def other_versions(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> str:
+    """Return the versions `here` that differ from `theirs`, as text; `where` says whose the latter are."""
+    names = [*here, *(name for name in theirs if name not in here)]
+    return ", ".join(
+        f"{name} {here.get(name, 'none')} ({where}: {theirs.get(name, 'none')})"
+        for name in names
+        if here.get(name) != theirs.get(name)
+    )
+
+
+def other_parts(file: BenchmarkFile, config: Config) -> list[str]:
+    """Return the parts of the configuration that are not as a final version froze them. A family without a source does
+    not count: not everyone has every dataset.
+    """
+    here = frozen_parts(config)
+    missing = {name for name in file.configuration.keys() - here.keys() if not name.startswith("sources.")}
+    return sorted(missing | {name for name, value in here.items() if file.configuration.get(name) != value})
+
+
+def freeze(path: Path, file: BenchmarkFile, config: Config, release: str) -> BenchmarkFile:
+    """Make a draft final: rewrite its file with the present configuration and the name of the release.
+
+    Raises
+    ------
+    UsageError : the version is final already, or was drafted for other versions of the code
+    """
+    if not file.draft:
+        raise UsageError(f"{file.benchmark} {file.version} is final already", where=str(path))
+    other = other_versions(file.stages, code_versions(config), "in the draft's file")
+    if other:
+        raise UsageError(
+            f"the draft is of other versions of the code: {other}", where=str(path), remedy="Update the draft first."
+        )
+    text = path.read_text(encoding="utf-8")
+    text = re.sub(r"(?m)^version: .*$", f"version: {file.version.removesuffix(_DRAFT)}", text)
+    text = re.sub(r"(?m)^draft: true$", f"draft: false\nrelease: {release}", text)
+    parts = "".join(f"  {name}: {value}\n" for name, value in frozen_parts(config).items())
+    text = f"{text.rstrip()}\n# SHA-256 of each part of the run's configuration that decides rows.\n"
+    text += f"configuration:\n{parts}"
+    final = BenchmarkFile.model_validate(yaml.safe_load(text))
+    with atomic_stream(path) as stream:
+        stream.write(text.encode())
+    return final
+
+
+def main() -> None:
+    """Make a draft final; see `freeze`."""
+    from jobs.benchmark import Benchmark
+
+    parser = argparse.ArgumentParser(description="Make the draft of a benchmark final.")
+    parser.add_argument("benchmark", type=Path, help="benchmark file, such as configs/benchmark-v1.yaml")
+    parser.add_argument("release", help="release or tag of the repository that has this version's code")
+    asked = parser.parse_args()
+    draft = Benchmark.read(asked.benchmark, check_roots=False)
+    final = freeze(asked.benchmark, draft.file, draft.config, asked.release)
+    print(f"{final.benchmark} {final.version} is final; its code is {final.release}")
+
+
+if __name__ == "__main__":
+    main()

@@ -9,10 +9,8 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from factory.address import open_store
-from jobs.assignments import put, yaml_value
-from jobs.config_faults import config_error
-from jobs.yaml_file import read_yaml
+from factory.store import open_store
+from jobs.settings import config_error, put, read_yaml, yaml_value
 from schemas.config import Config
 from schemas.errors import ConfigError, UsageError
 
@@ -30,7 +28,7 @@ def load_config(
     Parameters
     ----------
     path : the YAML file; relative folders in it count from its own folder
-    overrides : ``a.b=value`` strings, the last word
+    overrides : ``a.b=value`` strings, the last word; ``family=folder`` sets the roots of a family's sources
     environment : variables to look for ``CONDVLN_…`` in; the process's own by default
     check_roots : whether a missing source folder is an error
 
@@ -48,7 +46,13 @@ def load_config(
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise ConfigError(f"--set {text!r} is not of the form a.b=value", remedy="Example: --set ray.workers=2")
-        put(data, key.split("."), yaml_value(value, f"--set {key}"), origin=f"--set {text}")
+        sources = data.get("sources")
+        sources = sources if isinstance(sources, list) else []
+        named = [k for k, one in enumerate(sources) if isinstance(one, dict) and one.get("family") == key]
+        for k in named:
+            put(data, ["sources", str(k), "root"], str(Path(value).resolve()), origin=f"--data {text}")
+        if not named:
+            put(data, key.split("."), yaml_value(value, f"--set {key}"), origin=f"--set {text}")
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
@@ -78,7 +82,7 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
                 f"this is a file, not a folder: {root}" if root.exists() else f"no such folder: {root}",
                 where=path,
                 place=f"sources.{k}.root",
-                remedy=f"Point it at your copy of {source.family}, or override it with --set sources.{k}.root=FOLDER.",
+                remedy=f"Point it at your copy of {source.family}, or name it with --data {source.family}=DIR.",
             )
         if check_roots and source.navmesh is not None and not (root / source.navmesh).is_dir():
             raise ConfigError(
@@ -87,16 +91,14 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
                 place=f"sources.{k}.navmesh",
                 remedy="Give the path of a folder of navmeshes, relative to the source's root.",
             )
-        regions = None if source.regions is None else (base / source.regions).resolve()
-        if check_roots and regions is not None and not regions.exists():
-            raise ConfigError(f"no such file or folder: {regions}", where=path, place=f"sources.{k}.regions")
-        graphs = None if source.connectivity is None else (base / source.connectivity).resolve()
-        if check_roots and graphs is not None and not graphs.is_dir():
-            raise ConfigError(f"no such folder: {graphs}", where=path, place=f"sources.{k}.connectivity")
-        houses = None if source.houses is None else (base / source.houses).resolve()
-        if check_roots and houses is not None and not houses.is_dir():
-            raise ConfigError(f"no such folder: {houses}", where=path, place=f"sources.{k}.houses")
-        beside = {"root": root, "regions": regions, "connectivity": graphs, "houses": houses}
+        beside = {"root": root}
+        for key in ("regions", "connectivity", "houses"):
+            if (named := getattr(source, key)) is None:
+                continue
+            beside[key] = (base / named).resolve()
+            if check_roots and not (beside[key].is_dir() or (key == "regions" and beside[key].exists())):
+                what = "file or folder" if key == "regions" else "folder"
+                raise ConfigError(f"no such {what}: {beside[key]}", where=path, place=f"sources.{k}.{key}")
         sources.append(source.model_copy(update=beside))
     store = _store(config.store, base, path)
     export = None if config.export is None else (base / config.export).resolve()

@@ -1,8 +1,8 @@
 """Cost of each stage of a scene, estimated from counts that are known before a run.
 
 A stage's CPU seconds are a sum of coefficients times counts, never negative: see `counts_of` for the counts and
-`COEFFICIENTS` for the coefficients, in CPU seconds of the reference machine (``factory.machine``). They only have to be
-right for the first run of a source: from then on the factory corrects them by its receipts (``factory.costs``).
+`COEFFICIENTS` for the coefficients, in CPU seconds of the machine that they were fitted on. They only have to be
+about right for the first run of a source: from then on the factory corrects them by its receipts (``factory.planner``).
 """
 
 from __future__ import annotations
@@ -27,40 +27,40 @@ FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
 
 COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
     "replicacad": {
-        "scene": (0.0053, 0.0003, 0.0),
-        "counts": (0.0039, 0.0005),
-        "relations": (0.0069, 0.008),
-        "visibility": (0.0, 0.0005),
-        "episodes": (0.0004, 0.1607, 0.0014),
-        "text": (0.0203,),
+        "scene": (0.0172, 0.0006, 0.0),
+        "counts": (0.0049, 0.0007),
+        "relations": (0.0215, 0.0187),
+        "visibility": (0.0, 0.0011),
+        "episodes": (0.0025, 3.2, 0.0),
+        "text": (0.0167,),
     },
     "procthor": {
-        "scene": (0.0038, 0.0005, 0.0),
-        "counts": (0.0041, 0.0089),
-        "relations": (0.0071, 0.0119),
-        "visibility": (0.0017, 0.0004),
-        "episodes": (0.0009, 0.0972, 0.0147),
-        "text": (0.0227,),
+        "scene": (0.011, 0.0005, 0.0),
+        "counts": (0.0047, 0.0088),
+        "relations": (0.013, 0.0143),
+        "visibility": (0.0023, 0.0014),
+        "episodes": (0.01, 2.34, 0.32),
+        "text": (0.0178,),
     },
     "ithor": {
-        "scene": (0.0108, 0.0003, 0.0),
-        "counts": (0.0043, 0.0006),
-        "relations": (0.0067, 0.0033),
-        "visibility": (0.0, 0.0006),
-        "episodes": (0.0007, 0.0352, 0.0025),
-        "text": (0.0087,),
+        "scene": (0.019, 0.0005, 0.0),
+        "counts": (0.0067, 0.0004),
+        "relations": (0.0126, 0.0074),
+        "visibility": (0.0, 0.0014),
+        "episodes": (0.0012, 0.32, 0.0),
+        "text": (0.0092,),
     },
     "gibson": {
-        "scene": (0.0045, 0.0001, 1.0),
-        "counts": (0.0, 0.1308),
-        "relations": (0.0163, 0.0948),
-        "visibility": (0.0008, 0.0007),
+        "scene": (0.0082, 0.0001, 1.0),
+        "counts": (0.0, 0.1352),
+        "relations": (0.0003, 0.1662),
+        "visibility": (0.0014, 0.0011),
         # Its real scenes at hand have no navmesh; where one has, its episodes are taken to cost what ProcTHOR's do.
-        "episodes": (0.0011, 0.0479, 0.0147),
-        "text": (0.0084,),
+        "episodes": (0.0021, 0.102, 0.32),
+        "text": (0.007,),
     },
 }
-"""CPU seconds of the reference machine for one of each of a stage's ``FEATURES``, by family.
+"""CPU seconds for one of each of a stage's ``FEATURES``, by family.
 
 Fitted by ``python -m benchmarks costs`` on one of 2 cores, to 24 scenes of ReplicaCAD, 24 houses of ProcTHOR, 7 plans
 of iTHOR and 14 scans of Gibson with 4, 12 and 24 episodes of each category. Of ``mesh_mb`` (building a navmesh from a
@@ -69,7 +69,7 @@ first runs of real scenes; where they are wrong by a factor of two, fit the tabl
 """
 
 COMPILE_SECONDS: Final = 105.0
-"""CPU seconds for compiling all kernels once on the reference machine; later runs load them from a cache."""
+"""CPU seconds for compiling all kernels once; later runs load them from a cache."""
 
 
 def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
@@ -97,7 +97,7 @@ def counts_of(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
 
 
 def stage_costs(family: str, counts: SceneCounts, asked: int) -> dict[str, float]:
-    """Return, for each stage of one scene, the estimated CPU seconds on the reference machine.
+    """Return, for each stage of one scene, the estimated CPU seconds.
 
     asked : episodes asked of the scene, all categories and counterfactual groups together
     """

@@ -4,39 +4,41 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
+import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
 from rich.text import Text
 
 from condvln.evaluation.agents import agent_named, predict_all
 from condvln.evaluation.evaluate import Evaluation
-from condvln.evaluation.measures import DistanceMode
+from condvln.evaluation.goal_distances import OFF_NAVMESH
 from condvln.evaluation.plots import save_figures
 from condvln.evaluation.predictions import write_predictions
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich
-from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.tables import Table, all_tables, twin_tables
 from condvln.formats.streams import atomic_stream
-from condvln.navigation.navmesh_folder import NavmeshFolder
-from jobs.looker import LOOKER, datasets_of, looking_agent
-from jobs.policy import eyes_of, is_policy, policy_named, walk_policy
-from jobs.report import Report
+from condvln.navigation.scene_navmesh import NavmeshFolder
+from jobs.agents import LOOKER, datasets_of, eyes_of, is_policy, looking_agent, policy_named, walk_policy
+from jobs.report import PIPE_WIDTH, Report
 from schemas.config import Config
 from schemas.errors import FormatError, UsageError
 
-__all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "walk_split"]
+__all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "handed_in", "walk_split"]
 
 SHOWN: Final = 5
 """Number of ids of missing episodes in a message; ``--json`` has all of them."""
 
 MAIN_TABLES: Final = ("main", "sweep", "twin_main")
 """Tables that are printed by default, where they exist; ``--json`` and ``--csv`` have all."""
+LEAST_COLUMNS: Final = 4
+"""Columns of a table that a narrow terminal shows, however many digits it breaks."""
 ALL_TABLES: Final = "all"
 """Value of ``tables`` that stands for all tables."""
 
@@ -49,12 +51,8 @@ class Question:
     ----------
     predictions : a file an agent: VLN-CE's, RxR's or R2R's predictions, or others' results by episode
     oracle : the same agents on the split's oracle-linear twin, in the same order; none where that is not asked
-    roots : folders of datasets with the navmeshes that the export does not ship
-    connectivity : folders of ``<scan>_connectivity.json``, for paths over viewpoints
-    radii : success distances of a sweep, metres
-    oracle_radius : distance of OSR, metres, where it is larger than the success distance; none for that
-    fast_dtw : nDTW by VLN-CE's approximation
-    strict : an episode without a prediction is an error
+    options : how files are read and scored
+    strict : an episode without a prediction, a step that no action can have made and a pose off the navmesh are errors
     tables : names of the tables to print, or ``ALL_TABLES``; the main ones where empty
     """
 
@@ -62,41 +60,99 @@ class Question:
     split: str
     predictions: tuple[Path, ...]
     oracle: tuple[Path, ...] = ()
-    roots: tuple[Path, ...] = ()
-    connectivity: tuple[Path, ...] = ()
-    distance: DistanceMode = "geodesic"
-    radii: tuple[float, ...] = ()
-    assume_stop: bool = False
-    oracle_radius: float | None = None
-    fast_dtw: bool = False
+    options: SplitOptions = field(default_factory=SplitOptions)
     strict: bool = False
     tables: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class HandedIn:
-    """The number of episodes of a split that have a prediction or a result in one file.
+    """What is wrong with one file of predictions or results; ids are in the order of the split.
 
-    missing : ids of those without, in the order of the split; an empty path counts as none
+    Attributes
+    ----------
+    missing : episodes without a prediction or a result; an empty path counts as none
+    gaps : episodes with steps that no single action can have made, and the number of these steps
+    off_navmesh : episodes with poses that are not on the navmesh, and the number of these poses
+    notes : what was left out or changed when the file was read
     """
 
     file: Path
     episodes: int
     missing: tuple[str, ...]
+    gaps: Mapping[str, int]
+    off_navmesh: Mapping[str, int]
+    notes: tuple[str, ...]
 
-    def warning(self) -> str:
-        """Return a warning if predictions are missing, else an empty text."""
-        shown = ", ".join(self.missing[:SHOWN]) + (", …" if len(self.missing) > SHOWN else "")
-        return (
-            f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
-            f"failures: {shown}"
-        )
+    @property
+    def faults(self) -> list[str]:
+        """What a strict evaluation refuses, a sentence each."""
+        found = []
+        if self.missing:
+            found.append(
+                f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
+                f"failures: {_shown(self.missing)}"
+            )
+        if self.gaps:
+            found.append(
+                f"{len(self.gaps)} of {self.episodes} episodes have steps that no single action can make (too long, "
+                f"through a wall, or between viewpoints without a common edge), {sum(self.gaps.values())} in all; "
+                f"TL and SPL measure them along the shortest way: {_shown(tuple(self.gaps))}"
+            )
+        if self.off_navmesh:
+            found.append(
+                f"{len(self.off_navmesh)} of {self.episodes} episodes have poses more than {OFF_NAVMESH:g} m off the "
+                f"navmesh, {sum(self.off_navmesh.values())} in all: {_shown(tuple(self.off_navmesh))}"
+            )
+        return found
+
+    @property
+    def warnings(self) -> list[str]:
+        """All that is to be said about the file, a sentence each."""
+        return [*self.faults, *self.notes]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the counts and all ids."""
+        return {
+            "file": str(self.file),
+            "episodes": self.episodes,
+            "missing": len(self.missing),
+            "missing_ids": [*self.missing],
+            "gaps": sum(self.gaps.values()),
+            "gap_ids": [*self.gaps],
+            "off_navmesh": sum(self.off_navmesh.values()),
+            "off_navmesh_ids": [*self.off_navmesh],
+            "notes": [*self.notes],
+        }
+
+
+def _shown(ids: Sequence[str]) -> str:
+    return ", ".join(ids[:SHOWN]) + (", …" if len(ids) > SHOWN else "")
+
+
+def handed_in(path: Path, evaluation: Evaluation) -> HandedIn:
+    """Return what is wrong with a file, from its evaluation."""
+
+    def counted(measure: str) -> dict[str, int]:
+        values = np.nan_to_num(evaluation.scores[measure]).astype(int).tolist()
+        return {name: count for name, count in zip(evaluation.episode_ids, values, strict=True) if count}
+
+    return HandedIn(
+        path,
+        len(evaluation),
+        tuple(counted("missing")),
+        counted("gaps"),
+        counted("off_navmesh"),
+        evaluation.notes,
+    )
 
 
 class EvaluationReport:
     """The tables of one evaluation, and the episodes that each file of predictions lacks. The library rich can print
     this report on a terminal.
     """
+
+    exit_code = 0
 
     def __init__(
         self,
@@ -119,23 +175,21 @@ class EvaluationReport:
 
     @property
     def warnings(self) -> list[str]:
-        """Return a warning for each file that lacks episodes."""
-        return [f"{one.file}: {one.warning()}" for one in self.handed_in if one.missing]
+        """Return what is to be said about each file, and about all, a sentence each."""
+        said = [f"{one.file}: {warning}" for one in self.handed_in for warning in one.warnings]
+        unchecked = max((int(np.isnan(one.scores["justified"]).sum()) for one in self.evaluations), default=0)
+        if unchecked:
+            said.append(
+                f"justified is undefined in {unchecked} of {len(self.evaluations[0])} episodes: what an agent saw is "
+                "checked in the scenes that --data FAMILY=DIR names"
+            )
+        return said
 
     def as_json(self) -> dict[str, Any]:
         """Return all tables as plain values, and the counts of episodes of each file."""
-        predictions = [
-            {
-                "file": str(one.file),
-                "episodes": one.episodes,
-                "missing": len(one.missing),
-                "missing_ids": [*one.missing],
-            }
-            for one in self.handed_in
-        ]
         return {
             "warnings": self.warnings,
-            "predictions": predictions,
+            "predictions": [one.as_json() for one in self.handed_in],
             "tables": [as_document(table) for table in self.tables],
         }
 
@@ -179,10 +233,29 @@ class EvaluationReport:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield from (Text(f"warning: {warning}") for warning in self.warnings)
-        yield from (as_rich(table) for table in self.shown)
+        for table in self.shown:
+            yield from _fitting(table, console, options)
         others = [table.name for table in self.tables if table not in self.shown]
         if others:
             yield Text(f"more tables, with --table NAME or --all: {', '.join(others)}")
+
+
+def _fitting(table: Table, console: Console, options: ConsoleOptions) -> RenderResult:
+    """Yield a table with as many columns as fit, the leading ones first and the count of episodes, and the names of the
+    others: numbers that are broken into lines of two digits can't be read.
+    """
+    kept = [*range(len(table.columns))]
+    left_out: list[str] = []
+    unbounded = options.update_width(10 * PIPE_WIDTH)
+    while True:
+        rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
+        shown = as_rich(replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows))
+        if len(kept) <= LEAST_COLUMNS or Measurement.get(console, unbounded, shown).maximum <= options.max_width:
+            break
+        left_out.insert(0, table.columns[kept.pop(-2)].heading)
+    yield shown
+    if left_out:
+        yield Text(f"no room for {', '.join(left_out)}: a wider terminal, --csv or --markdown has them")
 
 
 def walk_split(
@@ -230,7 +303,7 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
     Raises
     ------
     UsageError : not one file of the twin for each agent
-    FormatError : an episode without a prediction, where that is asked for
+    FormatError : a file has a fault, and the question is strict
     InputError : from the readers
     """
     if asked.oracle and len(asked.oracle) != len(asked.predictions):
@@ -238,29 +311,23 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
             f"--oracle is given {len(asked.oracle)} times for {len(asked.predictions)} agents",
             remedy="Give --oracle once for each agent, in the same order.",
         )
-    said = [("--radius", radius) for radius in asked.radii]
-    if asked.oracle_radius is not None:
-        said.append(("--oracle-radius", asked.oracle_radius))
-    for option, radius in said:
-        if not (math.isfinite(radius) and radius > 0):
-            raise UsageError(f"{option} {radius:g}", remedy="Success distances are positive numbers of metres.")
-    rules = ScoreRules(
-        distance=asked.distance,
-        oracle_success_distance=asked.oracle_radius,
-        fast_dtw=asked.fast_dtw,
-    )
-    options = SplitOptions(rules, asked.radii, asked.roots, asked.assume_stop, asked.connectivity)
+    options = asked.options
+    lengths: list[tuple[str, float | None]] = [("--radius", radius) for radius in options.radii]
+    lengths += [("--oracle-radius", options.rules.oracle_success_distance), ("--forward-step", options.forward)]
+    for option, length in lengths:
+        if length is not None and not (math.isfinite(length) and length > 0):
+            raise UsageError(f"{option} {length:g}", remedy="Give a positive number of metres.")
     evaluations, tasks = evaluate_split(asked.export, asked.split, asked.predictions, options)
     # The twin has the same episodes, goals and budgets: one manifest serves both.
     twins = [evaluate_split(asked.export, asked.split, (path,), options)[0][0] for path in asked.oracle]
-    handed_in = [
-        _handed_in(path, evaluation)
+    files = [
+        handed_in(path, evaluation)
         for path, evaluation in zip((*asked.predictions, *asked.oracle), (*evaluations, *twins), strict=True)
     ]
-    short = next((one for one in handed_in if one.missing), None)
-    if asked.strict and short is not None:
+    wrong = next((one for one in files if one.faults), None)
+    if asked.strict and wrong is not None:
         raise FormatError(
-            short.warning(), where=short.file, remedy="Predict every episode, or leave out --strict to count failures"
+            wrong.faults[0], where=wrong.file, remedy="Correct the file, or leave out --strict to score it as it is"
         )
     tables = all_tables(evaluations, tasks)
     if twins:
@@ -271,10 +338,4 @@ def evaluate_predictions(asked: Question) -> EvaluationReport:
         raise UsageError(
             f"there is no table {unknown[0]!r}", place="--table", remedy=f"Choose one of: {', '.join(names)}."
         )
-    return EvaluationReport(evaluations, tables, handed_in, asked.tables, twins)
-
-
-def _handed_in(path: Path, evaluation: Evaluation) -> HandedIn:
-    lacking = evaluation.scores["missing"] == 1
-    ids = tuple(name for name, absent in zip(evaluation.episode_ids, lacking.tolist(), strict=True) if absent)
-    return HandedIn(path, len(evaluation), ids)
+    return EvaluationReport(evaluations, tables, files, asked.tables, twins)

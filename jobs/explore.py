@@ -1,33 +1,37 @@
-"""``condvln explore``: the page of a snapshot or an export, with the results and walks of agents."""
+"""``condvln explore``: the page of a snapshot or an export, with the results, tables and walks of agents."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
 
+from condvln.evaluation.episode_stats import is_episode_stats, read_episode_stats
+from condvln.evaluation.evaluate import Evaluation
+from condvln.evaluation.predictions import Prediction, detect_format, read_predictions
+from condvln.evaluation.reading import ReadRules
+from condvln.evaluation.split import SplitOptions, evaluate_split
+from condvln.evaluation.tables import ORACLE_TEXT, Table, all_tables
 from condvln.explorer import Site, episode_document, plan_document
-from condvln.explorer.graph import graph_document
-from condvln.explorer.views import first_views, pictures
+from condvln.explorer.agents import AgentResults, difference_table, table_document, walk_document
+from condvln.explorer.plan import graph_document
+from condvln.explorer.views import pictures
 from condvln.export.contents import read_document
 from condvln.formats.json_entries import json_lines
-from condvln.manifest import manifest_paths
-from condvln.navigation.navmesh_folder import NavmeshFolder
-from condvln.sources.source import hash_file
-from condvln.world import open_world
-from jobs.explore_agents import ExploredAgents, ScoredSplit, scored_splits
-from jobs.explore_drift import former_episodes
+from condvln.manifest import manifest_lines, manifest_paths
+from condvln.navigation.scene_navmesh import NavmeshFolder
+from jobs.evaluate import EvaluationReport, Question
 from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
-from jobs.explore_statistics import Counts, statistics_document
-from jobs.pipeline import open_configured
+from jobs.explore_statistics import Counts, former_episodes, statistics_document
 from jobs.report import Report
+from jobs.show import world_of
 from schemas.config import Config
-from schemas.errors import UsageError
+from schemas.errors import InputError, UsageError
 
-__all__ = ["Exploration", "explore"]
+__all__ = ["Exploration", "ExploredAgents", "ScoredSplit", "asked_split", "explore", "scored_splits"]
 
 CERTIFICATES: Final = "certificates"
 Document = dict[str, Any]
@@ -132,17 +136,10 @@ def _add(
 
 
 def _look(site: Site, scene: ExploredScene, documents: Sequence[Document], config: Config) -> None:
-    """Add pictures, and the places from which the conditions' evidence is first seen, to the documents of some
-    episodes.
-    """
-    configured = next(one for one in config.sources if one.family == scene.scene.family)
-    name = scene.scene.scene_id
-    asked = configured.model_copy(update={"scenes": (name,), "exclude": ()})
-    world = open_world(open_configured(config, asked, hash_file), name, config.agent)
-    centers = {item.object_id: item.center for item in scene.scene.objects}
+    """Add pictures to the documents of some episodes."""
+    world = world_of(config, {"source": scene.scene.family, "scene_id": scene.scene.scene_id})
     for document in documents:
-        document["views"] = first_views(document, world.view, config.places, config.episodes)
-        for k, (caption, data) in enumerate(pictures(document, world.renderer, centers)):
+        for k, (caption, data) in enumerate(pictures(document, world.renderer)):
             document["frames"].append({"file": site.add_picture(f"{document['id']}-{k}", data), "caption": caption})
 
 
@@ -162,3 +159,126 @@ class _Certificates:
         text = self._lines.get(str(row["episode_id"]))
         found: Document | None = None if text is None else orjson.loads(text)
         return found
+
+
+@dataclass(frozen=True)
+class ScoredSplit:
+    """Agents' results on one split, with the options that they were scored by.
+
+    Attributes
+    ----------
+    files : the file of predictions or results of each evaluation, in the same order
+    reading : how the files are read
+    """
+
+    split: str
+    evaluations: Sequence[Evaluation]
+    tables: Sequence[Table]
+    files: Sequence[Path]
+    reading: ReadRules = field(default_factory=ReadRules)
+
+
+def scored_splits(export: Path, predictions: Sequence[Path], roots: Sequence[Path]) -> list[ScoredSplit]:
+    """Score files of predictions by the default rules, each on the split that has its episodes.
+
+    Raises
+    ------
+    UsageError : a file fits no split of the export, or has paths over viewpoints
+    InputError : from the readers
+    """
+    split_of = {
+        str(name): path.stem for path in manifest_paths(export) for line in manifest_lines(path) for name in line.ids()
+    }
+    by_split: dict[str, list[Path]] = {}
+    for path in predictions:
+        by_split.setdefault(_split(path, split_of), []).append(path)
+    found = []
+    for split, paths in sorted(by_split.items()):
+        evaluations, tasks = evaluate_split(export, split, paths, SplitOptions(navmesh_roots=tuple(roots)))
+        found.append(ScoredSplit(split, evaluations, all_tables(evaluations, tasks), paths))
+    return found
+
+
+def asked_split(asked: Question, report: EvaluationReport) -> ScoredSplit:
+    """Return the result of an evaluation in the form that the page shows: its scores and tables, and the agents' scores
+    on the split's oracle twin if that was evaluated.
+    """
+    twins = zip(report.evaluations, report.twins, strict=True) if report.twins else ()
+    return ScoredSplit(
+        asked.split,
+        [*report.evaluations, *(replace(twin, agent=own.agent + ORACLE_TEXT) for own, twin in twins)],
+        report.tables,
+        [*asked.predictions, *asked.oracle],
+        asked.options.reading,
+    )
+
+
+@dataclass
+class ExploredAgents:
+    """Results, tables and walks of all agents.
+
+    Attributes
+    ----------
+    walks : by agent and episode id, or hash where the file has hashes
+    """
+
+    results: list[AgentResults] = field(default_factory=list)
+    walks: dict[str, dict[str, Prediction]] = field(default_factory=dict)
+    tables: list[Document] = field(default_factory=list)
+
+    def add(self, scored: ScoredSplit) -> None:
+        """Add the agents of one split. Raises InputError from the readers."""
+        tables = [*scored.tables, difference_table(scored.evaluations)]
+        self.tables += [table_document(table, scored.split) for table in tables if table.rows]
+        for evaluation, path in zip(scored.evaluations, scored.files, strict=True):
+            stats = is_episode_stats(path)
+            viewpoints = not stats and detect_format(path) == "r2r"
+            # R2R's agents name an instruction: <episode>_<number>.
+            ids = tuple(name.rsplit("_", 1)[0] if viewpoints else name for name in evaluation.episode_ids)
+            self.results.append(AgentResults.of(replace(evaluation, episode_ids=ids), scored.split))
+            if not stats and not viewpoints:  # neither has positions
+                walks = self.walks.setdefault(evaluation.agent, {})
+                walks.update({one.episode_id: one for one in read_predictions(path, rules=scored.reading)})
+
+    def walks_of(self, rows: Sequence[Mapping[str, Any]], folder: NavmeshFolder) -> dict[str, Document]:
+        """Return the agents' walks of the episodes `rows`, by episode id and agent. For an episode whose navmesh is not
+        in `folder`, distances are those along straight lines.
+        """
+        found: dict[str, Document] = {}
+        for row in rows:
+            name = str(row["episode_id"])
+            by_agent = {}
+            for agent, walks in self.walks.items():
+                prediction = walks.get(name) or walks.get(str(row.get("episode_hash")))
+                if prediction is None or not len(prediction.positions):
+                    continue
+                goals = next(leaf["goals"] for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
+                try:
+                    pathfinder = folder.load(row["navmesh"], row["navmesh_sha256"], f"episode {name}")
+                except InputError:
+                    pathfinder = None  # straight distances are shown, and called so
+                by_agent[agent] = walk_document(prediction, goals, pathfinder)
+            if by_agent:
+                found[name] = by_agent
+        return found
+
+
+def _split(path: Path, split_of: Mapping[str, str]) -> str:
+    """Return the split that a file of predictions belongs to: the split of its first episode that the export has."""
+    stats = is_episode_stats(path)
+    if not stats and detect_format(path) == "r2r":
+        raise UsageError(
+            "this file has paths over viewpoints",
+            place=str(path),
+            remedy="Run condvln evaluate EXPORT SPLIT FILE --connectivity DIR --html DIR, which scores it and writes "
+            "the page.",
+        )
+    ids = read_episode_stats(path) if stats else (one.episode_id for one in read_predictions(path))
+    for name in ids:
+        if name in split_of:
+            return split_of[name]
+    raise UsageError(
+        "no episode of the export is in this file of predictions",
+        place=str(path),
+        remedy="Name predictions that were made on this export.",
+    )

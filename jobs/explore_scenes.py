@@ -13,11 +13,11 @@ import pyarrow.compute as pc
 
 from condvln.explorer.episode import UNPUBLISHED
 from condvln.explorer.evidence import SceneFacts
-from condvln.export.rows import rows_of
-from condvln.instructions.tables import programs_from_table
+from condvln.export.tables import rows_of
+from condvln.instructions.programs import programs_from_table
 from condvln.manifest import manifest_lines, manifest_paths, manifest_row
 from condvln.navigation.navmesh_file import parse_navmesh, read_navmesh
-from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.navigation.tile import NavMeshTile
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
@@ -104,7 +104,7 @@ def snapshot_scenes(config: Config, export: Path | None) -> Scenes:
     snapshot = published(config)
     splits: dict[str, str] = {}
     for path in manifest_paths(export) if export is not None else ():
-        splits.update({str(line.fields().get("episode_id")): path.stem for line in manifest_lines(path)})
+        splits.update({str(line.ids()[0]): path.stem for line in manifest_lines(path)})
 
     def scenes() -> Iterator[ExploredScene]:
         built, pipeline = built_navmeshes(config, snapshot), build_pipeline(config)

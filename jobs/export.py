@@ -2,39 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Final
 
 import orjson
+import pyarrow as pa
+import pyarrow.compute as pc
 
+from condvln.explorer import episode_document, plan_document
+from condvln.explorer.picture import plan_picture
 from condvln.export.contents import ORIGIN, exported_snapshot
-from condvln.export.graph_episodes import GraphEpisodes
-from condvln.export.report import ExportReport
-from condvln.export.rows import Row
-from condvln.export.snapshot import ExportConfig, export_snapshot
-from condvln.export.staging import staged
-from condvln.export.tables import FolderTables
-from condvln.export.viewpoints import FOLDER, ViewpointReport, write_viewpoints
+from condvln.export.report import CardPicture, ExportReport
+from condvln.export.snapshot import NavmeshBytes, export_snapshot
+from condvln.export.staging import alone_in, staged
+from condvln.export.tables import FolderTables, Row, SnapshotTables
+from condvln.export.viewpoints import FOLDER, GraphEpisodes, ViewpointReport, write_viewpoints
 from condvln.formats.streams import atomic_stream
+from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
 from condvln.navigation.graph_pathfinder import GraphFolder
+from condvln.navigation.navmesh_file import parse_navmesh
+from condvln.scene.tables import scene_from_tables
+from condvln.sources.family import FAMILIES
 from factory.snapshot import Snapshot, read_manifest, read_ref, ref_path
 from jobs.bias import add_bias, priors_behind
-from jobs.export_lock import alone_in_export
-from jobs.export_origin import Origin, refuse_losses
-from jobs.export_pictures import card_pictures
-from jobs.listing import listed_units
+from jobs.export_origin import Origin, refuse_losses, remember_data
 from jobs.oracle import text_of_moves
-from jobs.pipeline import built_navmeshes
+from jobs.pipeline import built_navmeshes, listed_units
 from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
 from schemas.program import ObjectRef
 
-__all__ = ["export_snapshot_of", "graphs_of", "run_export", "write_export"]
+__all__ = ["alone_in_export", "card_pictures", "export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
+
+PICTURES: Final = "pictures"
+LOOKED_AT: Final = 40
+"""Number of a source's first episodes among which the one with most leaves is drawn on the dataset card."""
 
 _COMPARED: Final = ("episodes", "instructions", "scenes")
 
@@ -66,8 +75,18 @@ def export_snapshot_of(config: Config, *, allow_shrink: bool = False) -> Report:
         return write_export(config, allow_shrink=allow_shrink)
 
 
+def alone_in_export(config: Config) -> AbstractContextManager[None]:
+    """Hold the lock of the configured export folder for a whole run; without such a folder, do nothing.
+
+    Raises
+    ------
+    StoreError : another command holds it, or an export can't be written there
+    """
+    return nullcontext() if config.export is None else alone_in(config.export)
+
+
 def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = False) -> Report:
-    """Export as :func:`export_snapshot_of` does, for a caller that already holds the lock (``jobs.export_lock``).
+    """Export as :func:`export_snapshot_of` does, for a caller that already holds the lock (:func:`alone_in_export`).
 
     renewed : the priors were renewed on purpose
     """
@@ -92,11 +111,9 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     done = export_snapshot(
         tables,
         config.export,
-        ExportConfig(
-            splits=config.splits,
-            texts=texts,
-        ),
-        oracle_texts=_linear_text(config.seed, config.text.preamble, wording),
+        config.splits,
+        texts=texts,
+        oracle_text=_linear_text(config.seed, config.text.preamble, wording),
         navmeshes=navmeshes,
         graphs=graphs_of(config),
         former=_former(config, snapshot),
@@ -120,6 +137,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     behind = priors_behind(snapshot, config.name) if failed else None
     add_bias(report, done.bias, config.splits.bias, behind, config.splits.statements)
     _add_viewpoints(report, config, viewpoints)
+    remember_data(config)
     return report
 
 
@@ -133,7 +151,7 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
         raise CorruptShardError(
             f"the table episodes has {found} rows, but the manifest says {rows}",
             where=f"{snapshot.store.url}/snapshots/{snapshot.snapshot_id}",
-            remedy="Run condvln rebuild CONFIG --verify, which rebuilds the missing files.",
+            remedy="Run condvln generate CONFIG --verify, which rebuilds the missing files.",
         )
 
 
@@ -281,3 +299,49 @@ def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:
 def graphs_of(config: Config) -> GraphFolder:
     """Return the connectivity graphs of Matterport3D scans, from the configured or the dataset's own folder."""
     return GraphFolder(*graph_folders(config))
+
+
+def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path) -> Iterator[CardPicture]:
+    """Yield a picture for each source of an export. The pictures depend on the snapshot alone: navmeshes that belong to
+    a dataset are not drawn, since the dataset may be missing on this machine. Sources whose terms forbid passing on
+    images get no picture.
+
+    Parameters
+    ----------
+    export : the new folder, in which the manifests are written
+    """
+    for source, row in sorted(_chosen(export, set(tables.sources)).items()):
+        scene_id = row["scene_id"]
+        own = {name: _rows(tables, name, source, scene_id) for name in ("scenes", "rooms", "objects")}
+        scene = scene_from_tables(own, Path(), family=source)
+        data = navmeshes(source, own["scenes"].to_pylist()[0])
+        tile = None if data is None else parse_navmesh(data, scene_id).tile
+        drawn = plan_picture(plan_document(scene, tile), episode_document(row, parsed=False))
+        caption = f"{source}, scene {scene_id}, episode {row['episode_id']}: “{row['instruction_text']}”"
+        yield CardPicture(f"{PICTURES}/{source}.svg", caption, drawn)
+
+
+def _chosen(export: Path, sources: set[str]) -> dict[str, Row]:
+    """Return the episode to draw for each source: of the source's first `LOOKED_AT` episodes, the one with the most
+    leaves.
+    """
+    wanted = {source for source in sources if source in FAMILIES and not FAMILIES[source].licensed}
+    found: dict[str, list[tuple[int, ManifestLine]]] = {source: [] for source in wanted}
+    lines = (line for path in manifest_paths(export) for line in manifest_lines(path))
+    for line in lines:
+        fields = line.fields()
+        source = fields.get("source")
+        if source in found and len(found[source]) < LOOKED_AT:
+            found[source].append((len(fields["leaves"]), line))
+            if all(len(rows) == LOOKED_AT for rows in found.values()):
+                break
+    chosen = {source: max(rows, key=itemgetter(0))[1] for source, rows in found.items() if rows}
+    return {source: line.row().model_dump(mode="json") for source, line in chosen.items()}
+
+
+def _rows(tables: SnapshotTables, name: str, source: str, scene_id: str) -> pa.Table:
+    """Return the rows of one scene."""
+    kept: Sequence[pa.RecordBatch] = [
+        batch.filter(pc.equal(batch["scene_id"], scene_id)) for batch in tables.batches(name, source)
+    ]
+    return pa.Table.from_batches(kept)

@@ -7,7 +7,7 @@ where the configuration, the code or a source changed; where none of them did, p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -19,9 +19,10 @@ from condvln.export.contents import ORIGIN, document_digest, read_document, read
 from condvln.manifest import manifest_paths
 from factory.snapshot import Snapshot
 from jobs.pipeline import code_versions
+from jobs.settings import config_error, put
 from schemas.base import Document
 from schemas.config import Config
-from schemas.errors import SmallerExportError
+from schemas.errors import SmallerExportError, UsageError
 
 __all__ = ["Origin", "SceneOrigin", "Shrinkage", "refuse_losses"]
 
@@ -66,7 +67,7 @@ class Origin(Document):
     @classmethod
     def of(cls, config: Config, snapshot: Snapshot) -> Origin:
         """Return the origin of the export that is made of `snapshot` under `config`."""
-        index = snapshot.index().table
+        index = snapshot.index.table
         columns = [f"{_FIRST_STAGE}.inputs", "content", f"{_LAST_STAGE}.key", f"{_LAST_STAGE}/episodes.rows"]
         known = [name for name in ("unit_id", "status", *columns) if name in index.column_names]
         scenes = {}
@@ -122,6 +123,51 @@ def _flat(document: Mapping[str, Any], above: str = "") -> dict[str, Any]:
         else:
             found[above + name] = value
     return found
+
+
+def remember_data(config: Config) -> None:
+    """Note beside the export of `config` where its scenes lie on this machine; the export itself may be passed on."""
+    assert config.export is not None
+    texts = [f"{source.family}={source.root}" for source in config.sources]
+    _data_file(config.export).write_bytes(orjson.dumps({"data": texts}))
+
+
+def data_of(export: Path, texts: Sequence[str] | None) -> list[str]:
+    """Return the given texts ``[FAMILY=]DIR`` or, without any, the noted ones whose folders are there."""
+    noted = (read_document(_data_file(export)) or {}).get("data", ())
+    return [*texts] if texts else [text for text in noted if Path(text.partition("=")[2]).is_dir()]
+
+
+def _data_file(export: Path) -> Path:
+    return export.resolve().with_name(f".{export.resolve().name}.data.json")
+
+
+def config_of(export: Path, datasets: Mapping[str, Path]) -> Config:
+    """Return the configuration by which an export was made, with the given folders of families as its sources; the
+    default configuration if the export does not say.
+
+    Raises
+    ------
+    UsageError : no dataset is given
+    ConfigError : a family is unknown
+    """
+    if not datasets:
+        raise UsageError("no dataset was named, so no scene can be read", where=export, remedy="Add --data FAMILY=DIR.")
+    data: dict[str, Any] = {"name": "export", "store": export / "none", "export": export}
+    origin = Origin.read(export)
+    made = {} if origin is None else origin.configuration
+    for key, value in made.items():
+        if not key.startswith("sources."):
+            put(data, key.split("."), value, origin=ORIGIN)
+    data["sources"] = [
+        {name: value for name, value in one.items() if name not in _PATHS} | {"family": family, "root": root.resolve()}
+        for family, root in datasets.items()
+        for one in made.get(f"sources.{family}", [{}])
+    ]
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        raise config_error(error, export) from None
 
 
 @dataclass
@@ -284,7 +330,7 @@ def refuse_losses(
         raise SmallerExportError(
             f"an export of the snapshot that {ref} names would hold less than the one in place, {size}: {why}",
             where=folder,
-            remedy="The export in place is kept. Run condvln rebuild CONFIG --verify to make again what was lost; or, "
+            remedy="The export in place is kept. Run condvln generate CONFIG --verify to make again what was lost; or, "
             "where the smaller export is wanted, condvln export CONFIG --allow-shrink.",
         )
     return [f"the export is smaller than the one before, {size}: {'; '.join(found.causes)}"]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 import pyarrow as pa
@@ -71,14 +71,8 @@ class Flow:
 
     def add(self, other: Flow) -> None:
         """Add the counts of another flow."""
-        self.wanted += other.wanted
-        self.candidates += other.candidates
-        self.placed += other.placed
-        self.short += other.short
-        self.rejected += other.rejected
-        self.undrawn += other.undrawn
-        self.causes += other.causes
-        self.undrawn_of_short += other.undrawn_of_short
+        for count in fields(self):
+            setattr(self, count.name, getattr(self, count.name) + getattr(other, count.name))
 
     def document(self) -> dict[str, Any]:
         """Return the flow as JSON, filters sorted by their counts."""
@@ -150,22 +144,24 @@ class Funnel:
         ]
 
 
-def add_funnel(report: Report, snapshot: Snapshot) -> None:
-    """Add the funnel of a snapshot to `report`. Raises ``CorruptShardError`` where a file of the snapshot is
-    damaged.
+def add_funnel(report: Report, snapshot: Snapshot, *, short: bool = False) -> None:
+    """Add the funnel of a snapshot to `report`: all cells, or those that are `short` and a line on the others. Raises
+    ``CorruptShardError`` where a file of the snapshot is damaged.
     """
     funnel = funnel_of(snapshot)
-    if funnel is not None:
-        report.document["funnel"] = funnel.document()
-        report.sections += funnel.sections()
+    report.document["funnel"] = funnel.document()
+    if short:
+        full = {key: flow for key, flow in funnel.cells.items() if not flow.short}
+        report.lines.append(
+            f"{sum(flow.placed for flow in funnel.cells.values()):,} episodes; "
+            f"{len(full)} of {len(funnel.cells)} cells have all that were wanted"
+        )
+        funnel.cells = {key: flow for key, flow in funnel.cells.items() if key not in full}
+    report.sections += funnel.sections()
 
 
-def funnel_of(snapshot: Snapshot) -> Funnel | None:
-    """Count the funnel of all scenes of a snapshot, skipped scenes included; None for a snapshot of a release that
-    recorded no funnel.
-    """
-    if "funnel" not in snapshot.manifest.tables:
-        return None
+def funnel_of(snapshot: Snapshot) -> Funnel:
+    """Count the funnel of all scenes of a snapshot, skipped scenes included."""
     scenes: defaultdict[str, Flow] = defaultdict(Flow)
     cells: defaultdict[tuple[str, str], Flow] = defaultdict(Flow)
     told: dict[str, str] = {}
@@ -200,8 +196,8 @@ def _explained(flow: Flow) -> str:
     why draws failed.
     """
     # The science is needed for its words alone, and only here.
-    from condvln.episodes.rules import REASONS as PLACING_REASONS
-    from condvln.instructions.rejection import REASONS as DRAWING_REASONS
+    from condvln.episodes.candidates import REASONS as PLACING_REASONS
+    from condvln.instructions.degeneracy import REASONS as DRAWING_REASONS
 
     if not flow.wanted:
         return "no episodes were wanted of it"

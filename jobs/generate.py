@@ -2,39 +2,25 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Collection
 from typing import Any, Final
 
 from rich.console import Console
 
-from factory.auto_executor import AutoExecutor
-from factory.executor import Executor, InlineExecutor
-from factory.machine import slowness
-from factory.preload import NOTHING, Preload
-from factory.process_executor import ProcessExecutor
 from factory.report import ABORTED, RunReport
 from factory.run import run
-from factory.unit import Unit
-from jobs.costs import COMPILE_SECONDS
-from jobs.export import write_export
-from jobs.export_lock import alone_in_export
+from factory.stage import Unit
+from jobs.executor import every_node_sees, open_executor
+from jobs.export import alone_in_export, write_export
 from jobs.funnel import add_funnel
-from jobs.listing import listed_units
-from jobs.pipeline import build_pipeline
+from jobs.pipeline import build_pipeline, listed_units
 from jobs.progress import LoggedRun, RunProgress
-from jobs.report import Report, Section
-from jobs.store_lock import alone_in_store
-from jobs.warm_up import BUILDER, GENERATED_WITH
-from jobs.workspace import git_revision, local_state, open_store, published
-from schemas.config import Config, RayConfig
+from jobs.report import Report, Section, by_cause
+from jobs.workspace import alone_in_store, git_revision, local_state, open_store, published
+from schemas.config import Config
 from schemas.errors import CorruptShardError, SmallerExportError
 
-__all__ = ["CompilationNote", "add_export", "bring_up_to_date", "open_executor", "run_generate", "run_report"]
-
-LOCAL: Final = "local"
-"""Value of `ray.address` with which Ray is started on this machine."""
+__all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
 SHOWN_FAILURES: Final = 20
 """Number of quarantined scenes listed on a terminal; ``condvln status`` has all of them."""
@@ -74,7 +60,7 @@ def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
     """Report what a run did, the funnel of the published snapshot, and its export."""
     report = run_report(done)
     if done.snapshot_id is not None:
-        add_funnel(report, published(config))
+        add_funnel(report, published(config), short=True)
     if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
         add_export(report, config, renewed=renewed)
     return report
@@ -95,13 +81,16 @@ def bring_up_to_date(
     verify : read every file again that what is published rests on, and make those again that differ from their hash
     """
 
-    builds = any(not any(i.path.endswith(".navmesh") for i in unit.inputs) for unit in units)
-    kernels = sorted(GENERATED_WITH | {BUILDER} if builds else GENERATED_WITH)
     store = open_store(config)
     with (
         RunProgress(console) as bar,
         LoggedRun(store, local_state(config.store), bar) as log,
-        open_executor(config.ray, inline, bar.note, kernels, CompilationNote(console)) as executor,
+        open_executor(
+            config.ray,
+            inline=inline,
+            say=bar.note,
+            folders=every_node_sees(config),
+        ) as executor,
     ):
         done = run(
             build_pipeline(config),
@@ -110,7 +99,7 @@ def bring_up_to_date(
             config.name,
             executor,
             budget=config.ray.max_failures,
-            progress=log.progress,
+            progress=log,
             retry_quarantined=retry_quarantined,
             renew=("priors",) if renew_priors else (),
             deadline=config.ray.deadline_seconds,
@@ -126,7 +115,7 @@ def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool
     """Export the published snapshot, and add the result to `report`. Returns False if the export in place was kept
     instead.
 
-    The folder is held by the caller (``jobs.export_lock``). renewed : the priors were renewed on purpose
+    The folder is held by the caller (``jobs.export.alone_in_export``). renewed : the priors were renewed on purpose
     """
     try:
         exported = write_export(config, renewed=renewed)
@@ -143,69 +132,6 @@ def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool
     report.sections += exported.sections
     report.exit_code = max(report.exit_code, exported.exit_code)
     return True
-
-
-class CompilationNote:
-    """Prints messages about compilation and, before the first kernel that is not cached, how long compiling takes."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._said = False
-
-    def __call__(self, message: str) -> None:
-        if message.startswith("compiling ") and not self._said:
-            self._said = True
-            seconds = COMPILE_SECONDS * slowness()
-            self._console.print(
-                f"kernels are compiled once on a machine, about {seconds:.0f} CPU s; estimates don't include this",
-                highlight=False,
-            )
-        self._console.print(message, highlight=False, markup=False)
-
-
-@contextmanager
-def open_executor(
-    ray: RayConfig,
-    inline: bool,
-    say: Callable[[str], None],
-    kernels: Sequence[str] = (),
-    compiling: Callable[[str], None] = lambda _: None,
-) -> Iterator[Executor]:
-    """Open what runs the tasks: this process, worker processes of this machine, or Ray.
-
-    say : shows a message
-    kernels : groups of kernels that the tasks need (``jobs.warm_up``)
-    compiling : shows a message about their compilation
-    """
-    preload = Preload("jobs.warm_up", "load_kernels", (list(kernels),)) if kernels else NOTHING
-    if inline:
-        yield InlineExecutor(preload, compiling)
-        return
-    if ray.address is None and not _ray_is_up():
-        with ProcessExecutor(ray.workers, preload, compiling) as processes:
-            # Who names a number of workers gets them; else they must pay for their own start.
-            asked = ray.workers is not None
-            yield processes if asked else AutoExecutor(InlineExecutor(preload, compiling), processes, say)
-        return
-    from factory.ray_executor import RayExecutor
-
-    # Ray tells of lost nodes on standard output, in the middle of a line if need be; that one is the report's.
-    with (
-        redirect_stdout(sys.stderr),
-        RayExecutor(
-            workers=ray.workers,
-            address=None if ray.address == LOCAL else ray.address,
-            preload=preload,
-            note=compiling,
-        ) as cluster,
-    ):
-        yield cluster
-
-
-def _ray_is_up() -> bool:
-    """Return whether this process has started or joined a Ray itself; then that one is meant to be used."""
-    module = sys.modules.get("ray")
-    return module is not None and bool(module.is_initialized())
 
 
 def run_report(done: RunReport) -> Report:
@@ -230,6 +156,6 @@ def run_report(done: RunReport) -> Report:
     )
     if done.snapshot_id is not None:
         lines.append(f"snapshot {done.snapshot_id}{'' if done.published else ' (already published)'}")
-    failures = [(unit, f.stage, f.message) for unit, f in done.failures[:SHOWN_FAILURES]]
+    failures = by_cause((unit, f.stage, f.message) for unit, f in done.failures)[:SHOWN_FAILURES]
     sections = [Section("Quarantined", ("scene", "stage", "cause"), [*failures])]
     return Report(document, lines, sections, done.exit_code)

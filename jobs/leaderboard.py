@@ -7,44 +7,41 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
 
 from condvln.evaluation.agents import Agent, agent_named, predict_all
-from condvln.evaluation.aggregate import compare, summary
+from condvln.evaluation.aggregate import Estimate, compare, summary
 from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.metrics import keys_of, metrics_of
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
-from condvln.evaluation.statistics import Estimate
 from condvln.export.contents import exported_snapshot
 from condvln.formats.streams import atomic_stream
-from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.navigation.scene_navmesh import NavmeshFolder
+from jobs.agents import LOOKER, datasets_of, evidence_seen, looking_agent
 from jobs.benchmark import read_record
-from jobs.looker import LOOKER, datasets_of, looking_agent
+from jobs.evaluate import HandedIn, handed_in
 from jobs.report import Report, Section
 from schemas.benchmark import BenchmarkRecord, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
-from schemas.errors import UsageError
+from schemas.errors import FormatError, UsageError
 
 __all__ = ["REFERENCES", "score_benchmark"]
 
-REFERENCES: Final = ("oracle", "always-then", "always-else", "nearest", "random-leaf", "stop-at-start")
-"""Reference agents of every leaderboard: one that knows the branch, and guessers that see no scene. ``looker`` is one
+REFERENCES: Final = ("looking", "oracle", "always-then", "always-else", "nearest", "random-leaf", "stop-at-start")
+"""Reference agents of every leaderboard: two that know the branch, and guessers that see no scene. ``looker`` is one
 more, where the scenes are named.
 """
 
-_MEASURES: Final = ("success", "spl_route", "csr_all", "bsa_all", "leaf_correct", "wrong_branch", "no_commit", "ndtw")
+_MEASURES: Final = keys_of("board")
 _SEED: Final = 0
+_RANKED: Final = metrics_of("ranking")
 _COLUMNS: Final = (
-    "agent",
-    "kind",
-    "SR",
-    "95 %",
-    "SPL (route)",
-    "CSR-all",
-    "right leaf",
-    "missing",
-    "p to the row above",
+    *("agent", "kind", _RANKED[0].heading, "95 %"),
+    *(metric.heading for metric in _RANKED[1:]),
+    *("missing", "p to the row above"),
 )
 
 
@@ -57,15 +54,18 @@ def score_benchmark(
     roots: Sequence[Path] = (),
     references: bool = True,
     scenes: Sequence[str] = (),
+    forward: float | None = None,
 ) -> Report:
     """Score every file of predictions, run and score the reference agents, and rank all agents by success.
 
     out : file for the board as JSON
+    forward : length of the submitted agents' action forward in metres; None for that of the export's configuration
     scenes : ``FAMILY=FOLDER`` of each dataset of the split; with them the agent ``looker`` is walked too
 
     Raises
     ------
     UsageError : the export is not the one that its record is of, or an agent has the name of a reference
+    FormatError : a submission has steps that no action can have made, or poses off the navmesh
     InputError : from the readers
     """
     record = read_record(export)
@@ -76,8 +76,11 @@ def score_benchmark(
     found: list[tuple[Evaluation, LeaderboardRow]] = []
     roots = (*roots, *datasets_of(scenes).values())
     if predictions:
-        evaluations, _ = evaluate_split(export, split, predictions, SplitOptions(navmesh_roots=tuple(roots)))
+        sees = evidence_seen(export, scenes, roots) if scenes else None
+        options = SplitOptions(navmesh_roots=tuple(roots), forward=forward, sees_of=sees)
+        evaluations, _ = evaluate_split(export, split, predictions, options)
         for path, evaluation in zip(predictions, evaluations, strict=True):
+            _refuse_impossible_walks(handed_in(path, evaluation))
             if evaluation.agent in (*REFERENCES, LOOKER):
                 raise UsageError(
                     f"{evaluation.agent!r} is the name of a reference agent", where=str(path), remedy="Rename the file."
@@ -92,13 +95,25 @@ def score_benchmark(
     return _report(board, out, asked=references)
 
 
+def _refuse_impossible_walks(submission: HandedIn) -> None:
+    impossible = replace(submission, missing=()).faults  # a missing prediction is a failure, which the board counts
+    if impossible:
+        raise FormatError(
+            impossible[0],
+            where=submission.file,
+            remedy="A board takes whole walks on the navmesh: hand in every pose, and name an action forward that is "
+            "longer with --forward-step",
+        )
+
+
 def _references(export: Path, split: str, roots: Sequence[Path], scenes: Sequence[str]) -> list[Evaluation]:
     tasks, navmeshes = split_tasks(export, split), NavmeshFolder((export, *roots))
     agents: dict[str, Agent] = {name: agent_named(name) for name in REFERENCES}
     if scenes:
         agents[LOOKER] = looking_agent(scenes, ())
+    sees = evidence_seen(export, scenes, roots) if scenes else None
     return [
-        evaluate(tasks, predict_all(agent, tasks, navmeshes, seed=_SEED), navmeshes, agent=name)
+        evaluate(tasks, predict_all(agent, tasks, navmeshes, seed=_SEED), navmeshes, agent=name, sees_of=sees)
         for name, agent in agents.items()
     ]
 
@@ -112,6 +127,7 @@ def _row(evaluation: Evaluation, path: Path | None) -> LeaderboardRow:
         episodes=len(evaluation),
         missing=int((evaluation.scores["missing"] == 1).sum()),
         measures={name: _mean(one) for name, one in found.estimates.items()},
+        notes=evaluation.notes,
         against_above=None,
     )
 
@@ -160,7 +176,11 @@ def _report(board: Leaderboard, out: Path | None, *, asked: bool) -> Report:
     episodes = f", {board.rows[0].episodes:,} episodes" if board.rows else ""
     lines = [f"{board.benchmark} {board.version}, split {board.split}{episodes}, snapshot {board.snapshot_id}"]
     if asked and not any(row.agent == LOOKER for row in board.rows):
-        lines.append(f"no row {LOOKER}: name the scenes with --scenes FAMILY=DIR to walk this agent too")
+        lines.append(
+            f"no row {LOOKER}, and no column justified: name the scenes with --data FAMILY=DIR to walk this "
+            "agent too, and to check what all agents saw"
+        )
+    lines += [f"{row.agent}: {note}" for row in board.rows for note in row.notes]
     if board.draft:
         lines.append("this version is a draft: do not publish these numbers as results")
     if out is not None:
@@ -169,8 +189,8 @@ def _report(board: Leaderboard, out: Path | None, *, asked: bool) -> Report:
     for row in board.rows:
         success = row.measures["success"]
         spread = "–" if success.low is None else f"{100 * success.low:.1f}–{100 * (success.high or 0):.1f}"
-        rest = [row.measures[name].mean for name in ("spl_route", "csr_all", "leaf_correct")]
-        percent = [None if value is None else round(100 * value, 1) for value in (success.mean, *rest)]
+        means = [row.measures[metric.key].mean for metric in _RANKED]
+        percent = [None if value is None else round(100 * value, 1) for value in means]
         p_value = None if row.against_above is None else row.against_above.p_value
         rows.append((row.agent, row.kind, percent[0], spread, *percent[1:], row.missing, p_value))
     return Report(board.model_dump(mode="json"), lines, [Section("Leaderboard", _COLUMNS, [*rows])])

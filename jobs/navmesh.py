@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from rich.console import Console
 
-from condvln.formats.figure_file import write_figure
+from condvln.formats.streams import write_figure
 from condvln.navigation.navmesh_file import read_navmesh, write_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.settings import NavMeshSettings
@@ -91,7 +91,7 @@ def info(path: Path) -> Report:
 
 def compare(first: Path, second: Path) -> Report:
     """Report the first build stage at which two navmeshes differ; exit code 3 if they do."""
-    from condvln.navigation.recast.compare import compare_navmeshes
+    from condvln.navigation.navmesh_file import compare_navmeshes
 
     found = compare_navmeshes(read_navmesh(first), read_navmesh(second))
     if found is None:

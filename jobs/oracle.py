@@ -1,5 +1,5 @@
-"""``condvln oracle``: write the oracle-linear twin of a split. The twin's texts are plain instructions, which give only
-the gold branch of each episode.
+"""``condvln export --oracle``: write the oracle-linear twin of a split. The twin's texts are plain instructions, which
+give only the gold branch of each episode.
 """
 
 from __future__ import annotations
@@ -9,10 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import orjson
-
 from condvln.evaluation.walker import heading_of
-from condvln.export.contents import INDEX
+from condvln.export.contents import read_index
 from condvln.export.twin import TwinReport, rewrite_split
 from condvln.formats.streams import atomic_copy
 from condvln.instructions import oracle_linear, render_moves, with_preamble
@@ -22,35 +20,25 @@ from jobs.report import Report
 from schemas.config import WordingConfig
 from schemas.errors import UsageError
 from schemas.evaluation import ManifestEpisode
-from schemas.program import ObjectRef, Program
+from schemas.program import ObjectRef
 
-__all__ = ["linear_text", "oracle_split", "text_of_moves"]
+__all__ = ["oracle_split", "text_of_moves", "twin_text"]
 
 _SHARDS: Final = "content"
 _TRUTH: Final = "_gt.json.gz"
 
 
-def linear_text(
-    program: Program,
-    instruction_id: str,
-    heading_degrees: float,
-    wording: WordingConfig | str = "en",
-    *,
-    seed: int,
-    preamble: bool,
-    leaf: int | None = None,
-) -> str:
-    """Return one branch of an instruction as a plain instruction; `seed` and `instruction_id` choose the words, as in
-    the instruction's own text.
+def twin_text(episode: ManifestEpisode, texts: Mapping[str, Any], leaf: int | None = None) -> str:
+    """Return one branch of an episode as a plain instruction, in words that are chosen as for the episode's own text.
 
-    Parameters
-    ----------
+    texts : how the export's texts were rendered, as its record says; its defaults where it does not
     leaf : the branch; the gold one where None
-    heading_degrees : start heading, clockwise from north
-    preamble : open with the start heading where compass words are used
     """
-    moves = oracle_linear(program) if leaf is None else program.leaves[leaf].moves
-    return text_of_moves(moves, instruction_id, heading_degrees, wording, seed=seed, preamble=preamble)
+    wording = WordingConfig.model_validate({k: v for k, v in texts.items() if k in WordingConfig.model_fields})
+    heading = -math.degrees(heading_of(episode.start_rotation)) % 360.0
+    moves = oracle_linear(episode.program) if leaf is None else episode.program.leaves[leaf].moves
+    seed, preamble = int(texts.get("seed", 0)), bool(texts.get("preamble", True))
+    return text_of_moves(moves, episode.instruction_id, heading, wording, seed=seed, preamble=preamble)
 
 
 def text_of_moves(
@@ -62,7 +50,10 @@ def text_of_moves(
     seed: int,
     preamble: bool,
 ) -> str:
-    """Return the moves of one leaf as a plain instruction; the other parameters are those of :func:`linear_text`."""
+    """Return the moves of one leaf as a plain instruction; `seed` and `instruction_id` choose the words.
+
+    heading_degrees : start heading, clockwise from north; preamble : open with it where compass words are used
+    """
     told = render_moves(moves, seed, instruction_id, wording)
     compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
     return with_preamble(told, heading_degrees, seed, instruction_id, wording) if preamble and compass else told
@@ -97,15 +88,13 @@ def oracle_split(
         raise UsageError("the twin would replace its original", where=target, remedy="Name another file with --out")
     rows = read_manifest(manifest_path(export, split))
     manifest = {name: row for row in rows for name in (str(row.episode_id), row.episode_hash)}
-    rendering = _rendering(export)
-    seed = int(rendering.get("seed", 0)) if seed is None else seed
-    preamble = bool(rendering.get("preamble", True))
-    wording = WordingConfig.model_validate({k: v for k, v in rendering.items() if k in WordingConfig.model_fields})
+    texts = (read_index(export) or {}).get("texts")
+    texts = texts if isinstance(texts, dict) else {}
+    if seed is not None:
+        texts = {**texts, "seed": seed}
 
     def text_of(row: ManifestEpisode) -> str:
-        heading = -math.degrees(heading_of(row.start_rotation)) % 360.0
-        leaf = None if picks is None else picks[str(row.episode_id)]
-        return linear_text(row.program, row.instruction_id, heading, wording, seed=seed, preamble=preamble, leaf=leaf)
+        return twin_text(row, texts, None if picks is None else picks[str(row.episode_id)])
 
     done = rewrite_split(document, manifest, target, text_of)
     files = [target]
@@ -130,14 +119,3 @@ def _report(done: TwinReport, files: list[Path]) -> Report:
         lines.append(f"{done.unknown_words} words are not in the split's vocabulary and read as UNK")
     counts = {"words_before": done.words_before, "words": done.words, "unknown_words": done.unknown_words}
     return Report({"episodes": done.episodes, **counts, "files": [str(path) for path in files]}, lines)
-
-
-def _rendering(export: Path) -> dict[str, Any]:
-    """Return the settings with which the texts of an export were rendered, from the export's record; an empty
-    dictionary if the record lacks them.
-    """
-    try:
-        found = orjson.loads((export / INDEX).read_bytes())["texts"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-    return found if isinstance(found, dict) else {}

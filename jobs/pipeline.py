@@ -5,17 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any, Final
 
-from condvln.export.rows import Row
-from condvln.export.scene_table import NavmeshBytes
 from condvln.export.selection import VERSION
+from condvln.export.tables import NavmeshBytes, Row
+from condvln.scene import Scene
 from condvln.sources.registry import open_source
-from condvln.sources.source import HashFile, Source
+from condvln.sources.source import HashFile, SceneHandle, Source, hash_file
 from factory.pipeline import Pipeline, TableSpec
 from factory.snapshot import Snapshot
-from factory.unit import InputFile, Unit
-from factory.unit_list import UnitList
+from factory.stage import InputFile, Unit
 from jobs.costs import stage_costs
 from jobs.stages import (
     CountStage,
@@ -26,35 +26,25 @@ from jobs.stages import (
     TextStage,
     VisibilityStage,
 )
+from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, SourceConfig
 from schemas.config.constants import GROUP_SIZE
-from schemas.errors import ConfigError
+from schemas.errors import ConfigError, MissingFileError
 from schemas.tables import SORT_KEYS, TABLES
 
 __all__ = [
+    "SceneReader",
     "build_pipeline",
     "built_navmeshes",
     "code_versions",
     "list_units",
+    "listed_units",
     "open_configured",
     "scene_payload",
-    "units_of",
 ]
 
 BYTES_BASE: Final = 300 * 2**20
 """Memory of a worker before it reads a scene, bytes: interpreter, numpy, Arrow, compiled kernels."""
-
-_STAGE_OF: Final[dict[str, str | tuple[str, ...]]] = {
-    "scenes": "scene",
-    "rooms": "scene",
-    "objects": "scene",
-    "relations": "relations",
-    "visibility": "visibility",
-    "instructions": "text",
-    "episodes": "text",
-    "rejections": "episodes",
-    "funnel": "episodes",
-}
 
 
 def build_pipeline(config: Config) -> Pipeline:
@@ -66,7 +56,7 @@ def build_pipeline(config: Config) -> Pipeline:
             SceneStage(agent, config.limits),
             CountStage(config.thresholds, config.sampling.anchor_size),
             RelationStage(config.thresholds),
-            VisibilityStage(config.places.eye_height, config.places.island_radius, agent.max_climb),
+            VisibilityStage(config.places, config.episodes.object_seen, agent.max_climb),
             EpisodeStage(
                 config.thresholds,
                 config.places,
@@ -80,8 +70,10 @@ def build_pipeline(config: Config) -> Pipeline:
             ),
             TextStage(config.text, config.instructions.wording, config.episodes.max_steps, config.seed),
         ),
-        aggregates=(PriorsAggregate(config.thresholds, config.sampling, config.instructions.directions),),
-        tables={name: TableSpec(TABLES[name], SORT_KEYS[name], _STAGE_OF[name]) for name in TABLES},
+        aggregates=(
+            PriorsAggregate(config.thresholds, config.sampling, config.instructions.directions, config.places),
+        ),
+        tables={name: TableSpec(TABLES[name], SORT_KEYS[name]) for name in TABLES},
     )
 
 
@@ -96,52 +88,71 @@ def code_versions(config: Config) -> dict[str, int]:
 
 def open_configured(config: Config, source: SourceConfig, hash_file: HashFile) -> Source:
     """Open the reader of one configured source."""
-    return open_source(
-        source.family,
-        source.root,
-        scenes=source.scenes,
-        exclude=source.exclude,
-        regions=source.regions,
-        houses=source.houses,
-        navmesh=source.navmesh,
-        hash_file=hash_file,
-        limits=config.limits,
-        absence=source.absence,
-        connectivity=source.connectivity,
-    )
+    return open_source(**dict(source), hash_file=hash_file, limits=config.limits)
+
+
+class SceneReader:
+    """Reads single scenes of the configured sources, from the files that are on disk now."""
+
+    def __init__(self, config: Config) -> None:
+        self.sources: dict[str, list[Source]] = {}
+        for source in config.sources:
+            opened = open_configured(config, source, hash_file)
+            self.sources.setdefault(source.family, []).append(opened)
+
+    def read(self, family: str, scene_id: str) -> tuple[Source, Scene]:
+        """Return a scene and the first source that has it.
+
+        Raises
+        ------
+        MissingFileError : no source has it
+        """
+        missing = MissingFileError(
+            "no source has this scene",
+            where=f"{family}/{scene_id}",
+            remedy="Use the configuration that the export was built with.",
+        )
+        for source in self.sources.get(family, ()):
+            try:
+                return source, source.read(scene_id)
+            except MissingFileError as error:
+                missing = error
+        raise missing
 
 
 def scene_payload(source: SourceConfig, scene_id: str) -> dict[str, Any]:
     """Return what the stages need to open a scene of a configured source; see `jobs.stages.inputs.source_of`."""
-    return {
-        "family": source.family,
-        "root": str(source.root),
-        "scene_id": scene_id,
-        "regions": None if source.regions is None else str(source.regions),
-        "houses": None if source.houses is None else str(source.houses),
-        "navmesh": source.navmesh,
-        "absence": source.absence,
-        "connectivity": None if source.connectivity is None else str(source.connectivity),
-    }
+    return {"scene_id": scene_id, **source.model_dump(mode="json", exclude={"scenes", "exclude"})}
 
 
 def list_units(config: Config, hash_file: HashFile) -> list[Unit]:
-    """List all scenes of all sources as units, by id. One that can't be listed becomes a unit that holds the error."""
-    return [*units_of(config, hash_file)]
+    """List all scenes of all sources as units, by id. One that can't be listed becomes a unit that holds the error.
+
+    Raises ``ConfigError`` where a scene comes from two sources.
+    """
+    units = sorted(_each_unit(config, hash_file), key=lambda unit: unit.unit_id)
+    for one, two in pairwise(units):
+        if one.unit_id == two.unit_id:
+            raise ConfigError(
+                f"scene {one.unit_id} comes from two sources",
+                remedy="Keep one of them, or separate them with 'scenes' and 'exclude'.",
+            )
+    return units
 
 
-def units_of(config: Config, hash_file: HashFile) -> UnitList:
-    """Return what ``list_units`` does, on disk."""
-    units = UnitList(_each_unit(config, hash_file))
-    if units.twice is not None:
-        raise ConfigError(
-            f"scene {units.twice} comes from two sources",
-            remedy="Keep one of them, or separate them with 'scenes' and 'exclude'.",
-        )
+def listed_units(config: Config, *, verify: bool = False) -> list[Unit]:
+    """List units as `list_units` does, with the cached hashes of files whose size and time are as they were.
+
+    verify : hash every file again: one may have other bytes and the same size and time
+    """
+    hashes = file_hashes(config, trust=not verify)
+    units = list_units(config, hasher(hashes))
+    hashes.save()
     return units
 
 
 def _each_unit(config: Config, hash_file: HashFile) -> Iterator[Unit]:
+    known: dict[InputFile, InputFile] = {}  # scenes share most of their files
     wanted = config.instructions
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
@@ -149,12 +160,16 @@ def _each_unit(config: Config, hash_file: HashFile) -> Iterator[Unit]:
             yield Unit(
                 unit_id=f"{handle.family}/{handle.scene_id}",
                 partition=handle.family,
-                inputs=tuple(InputFile(i.path, i.size, i.sha256) for i in handle.inputs),
+                inputs=tuple(known.setdefault(file, file) for file in _files(handle)),
                 payload=scene_payload(source, handle.scene_id),
                 costs={} if handle.fault else stage_costs(handle.family, handle.counts, asked),
                 memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
                 fault=handle.fault,
             )
+
+
+def _files(handle: SceneHandle) -> Iterator[InputFile]:
+    return (InputFile(file.path, file.size, file.sha256) for file in handle.inputs)
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:

@@ -6,8 +6,8 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from factory.run import plan
-from jobs.listing import listed_units
-from jobs.pipeline import build_pipeline
+from jobs.executor import place_of_work
+from jobs.pipeline import build_pipeline, listed_units
 from jobs.report import Report, Section
 from jobs.workspace import open_store
 from schemas.config import Config
@@ -48,6 +48,9 @@ def make_plan(config: Config, *, every_scene: bool = False) -> Report:
         )
         + ("; compiling kernels, once on a machine, is not counted" if found.seconds or found.possible_seconds else ""),
     ]
+    if found.seconds:
+        document["runs"] = place_of_work(config.ray, found.seconds)[1]
+        lines.append(document["runs"])
     if found.snapshot_id is None:
         lines.append(f"nothing is published as {config.name!r} yet: {store.url}/refs/{config.name}.json is not there")
     if found.removed:

@@ -6,21 +6,18 @@ import os
 import time
 from collections import Counter
 from pathlib import Path
-from types import TracebackType
 from typing import Final
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from factory.heartbeat import Busy
 from factory.receipt import Receipt
+from factory.report import Busy, RunLog, RunReport
 from factory.report import Progress as RunListener
-from factory.report import Remaining, RunReport, readable
-from factory.run_log import RunLog
 from factory.store import Store
 from schemas.errors import CondVLNError
 
-__all__ = ["LOGS", "LoggedRun", "RunProgress"]
+__all__ = ["LOGS", "LoggedRun", "RunProgress", "readable"]
 
 LOGS: Final = "logs"
 """Folder of the runs' logs in a store. Each log has the name of the run's record."""
@@ -29,7 +26,12 @@ LOG_STEPS: Final = 20
 """Approximate number of lines that a phase of a run writes to a log."""
 
 
-class RunProgress:
+PRIOR_SECONDS: Final = 5.0
+"""Weight of the model's own estimate, in CPU seconds of done work, so that the first receipt, which pays for imports
+and caches, does not decide alone."""
+
+
+class RunProgress(RunListener):
     """Shows a factory run: one bar per phase on a terminal, about LOG_STEPS lines per phase elsewhere."""
 
     def __init__(self, console: Console) -> None:
@@ -46,38 +48,39 @@ class RunProgress:
         )
         self._task: TaskID | None = None
         self._phase, self._total, self._done = "", 0, 0
-        self._remaining = Remaining(0.0)
+        self._expected, self._reached, self._took, self._workers = 0.0, 0.0, 0.0, 1
         self._outcomes: Counter[str] = Counter()
+        self._causes: set[str] = set()
 
     def __enter__(self) -> RunProgress:
         self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
     def phase(self, name: str, total: int, seconds: float, workers: int = 1) -> None:
         """Show that a phase begins."""
         self._phase, self._total, self._done = name, total, 0
-        self._remaining = Remaining(seconds, workers)
+        self._expected, self._reached, self._took, self._workers = seconds, 0.0, 0.0, workers
         self._task = self._bar.add_task(name, total=total, last="", left=self._left())
         if not self._console.is_terminal and total:
             said = f"{name}: {total} to do"
             if seconds > 0:
                 shared = f", shared by {workers} workers" if workers > 1 else ""
-                said += f", about {seconds:.0f} CPU s{shared}: {readable(self._remaining.seconds)} on an idle machine"
+                said += f", about {seconds:.0f} CPU s{shared}: {readable(self.seconds_left)} on an idle machine"
             self._console.print(said, highlight=False)
 
     def unit(self, receipt: Receipt) -> None:
         """Show that a unit is finished, whether it succeeded or failed."""
         self._outcomes[receipt.status] += 1
         if receipt.failure is not None:
-            self._console.print(
-                f"quarantined {receipt.unit_id}: {receipt.failure.message}", highlight=False, markup=False
-            )
-        self._remaining.unit(receipt)
+            cause = receipt.failure.message
+            said = "for the same reason as one before" if cause in self._causes else cause
+            self._causes.add(cause)
+            self._console.print(f"quarantined {receipt.unit_id}: {said}", highlight=False, markup=False)
+        self._reached += receipt.expected
+        self._took += receipt.seconds
         self._advance(receipt.unit_id)
 
     def step(self) -> None:
@@ -88,12 +91,21 @@ class RunProgress:
         """Show a message."""
         self._console.print(message, highlight=False, markup=False)
 
-    def busy(self, unit: Busy, message: str) -> None:
+    def busy(self, unit: Busy) -> None:
         """Show that a unit is taking unusually long."""
-        self._console.print(message, highlight=False, markup=False)
+        self._console.print(unit.message, highlight=False, markup=False)
+
+    @property
+    def seconds_left(self) -> float:
+        """Return the expected wall-clock seconds left in a phase: the expected CPU seconds left, shared by the workers,
+        times the wall-clock seconds that units took per CPU second expected of them. (Other processes may share the
+        machine.)
+        """
+        pace = (self._took + PRIOR_SECONDS) / (self._reached + PRIOR_SECONDS)
+        return max(self._expected - self._reached, 0.0) * pace / max(self._workers, 1)
 
     def _left(self) -> str:
-        seconds = self._remaining.seconds
+        seconds = self.seconds_left
         return f"{readable(seconds)} left" if seconds >= 1 and self._done < self._total else ""
 
     def _advance(self, last: str) -> None:
@@ -106,7 +118,15 @@ class RunProgress:
             self._console.print(" ".join(word for word in words if word), highlight=False, markup=False)
 
 
-class LoggedRun:
+def readable(seconds: float) -> str:
+    """Format a duration: ``45 s``, ``12 min``, ``3 h 20 min``."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+
+
+class LoggedRun(RunLog):
     """The structured log of one run, one JSON line per event and scene. The log is written on this machine, and stored
     beside the run's record when the run ends.
 
@@ -117,24 +137,17 @@ class LoggedRun:
     """
 
     def __init__(self, store: Store, state: Path, inner: RunListener) -> None:
-        self._store = store
         began = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-        self._path = state / LOGS / f"{began}-{os.getpid()}.jsonl"
-        self._log = RunLog(self._path, inner)
-        self._inner = inner
-        self._kept = ""
-
-    @property
-    def progress(self) -> RunLog:
-        """Return the receiver of a run's progress."""
-        return self._log
+        super().__init__(state / LOGS / f"{began}-{os.getpid()}.jsonl", inner)
+        self._store = store
+        self._done: RunReport | None = None
 
     def keep(self, done: RunReport) -> None:
         """Store the log beside the run's record when the run is over. A run that had nothing to do leaves neither
         record nor log.
         """
-        self._kept = f"{LOGS}/{Path(done.record).stem}.jsonl" if done.record else "-"
-        self._log.event(
+        self._done = done
+        self.event(
             "end",
             exit_code=done.exit_code,
             published=done.published,
@@ -147,15 +160,13 @@ class LoggedRun:
     def __enter__(self) -> LoggedRun:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._log.__exit__(kind, error, trace)
-        if not self._kept:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        super().__exit__(kind, error, trace)
+        if self._done is None:
             return  # it was stopped: its log stays where it is
         try:
-            if self._kept != "-":
-                self._store.write(self._kept, self._path.read_bytes())
-            self._path.unlink()
+            if self._done.record:
+                self._store.write(f"{LOGS}/{Path(self._done.record).stem}.jsonl", self.path.read_bytes())
+            self.path.unlink()
         except (CondVLNError, OSError) as refused:
-            self._inner.note(f"the log of this run stays in {self._path}: {refused}")
+            self.inner.note(f"the log of this run stays in {self.path}: {refused}")

@@ -4,22 +4,49 @@ from __future__ import annotations
 
 import datetime
 import decimal
-from collections.abc import Iterable
+import json
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from textwrap import dedent
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import duckdb
 
 from condvln.formats.streams import atomic_path
-from jobs.named_queries import QUERIES, VIEWS
 from jobs.report import Report, Section
-from jobs.target import Target
-from schemas.config import Config
+from jobs.workspace import Target
 from schemas.errors import UsageError
 from schemas.tables import TABLES
 
-__all__ = ["connect", "list_queries", "query_target", "run_query"]
+__all__ = ["QUERIES", "VIEWS", "connect", "list_queries", "query_target"]
+
+
+class Statement(NamedTuple):
+    """A view over the published tables, or a query that ``condvln query TARGET NAME`` runs.
+
+    about : one line; tables : the published tables that a view reads
+    """
+
+    about: str
+    sql: str
+    tables: tuple[str, ...] = ()
+
+
+def _statements(kind: str) -> dict[str, Statement]:
+    """Return the statements of ``queries.sql`` of one kind, by name."""
+    text = Path(__file__).with_name("queries.sql").read_text(encoding="utf-8")
+    found = re.findall(rf"^-- {kind}: (\S+)(?: of (.+))?\n-- (.*)\n([^;]*);", text, re.MULTILINE)
+    return {name: Statement(about, sql, tuple(tables.split(", "))) for name, tables, about, sql in found}
+
+
+VIEWS: Final = _statements("view")
+QUERIES: Final = _statements("query")
+
+WIDE: Final = 12
+"""Columns up to which a result is printed as one table."""
+LONGEST: Final = 200
+"""Characters of an id or a nested value that are printed; ``--json`` and ``--out`` give all."""
 
 _WRITERS: Final = {".parquet": "PARQUET", ".csv": "CSV", ".json": "JSON", ".jsonl": "JSON"}
 """Formats of ``--out``, by the suffix of the file."""
@@ -49,9 +76,9 @@ def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
             connection.execute(
                 f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{_quoted(found)}], hive_partitioning = true)"
             )
-    for view in VIEWS.values():
-        if all(paths.get(name) for name in view.tables):
-            connection.execute(f"CREATE VIEW {view.name} AS {view.sql}")
+    for name, view in VIEWS.items():
+        if all(paths.get(table) for table in view.tables):
+            connection.execute(f"CREATE VIEW {name} AS {view.sql}")
     connection.execute("SET lock_configuration = true")
     return connection
 
@@ -69,9 +96,7 @@ def _tables_of(sql: str) -> set[str]:
             named = {name.lower() for name in connection.get_table_names(sql)}
     except duckdb.Error:
         return {*TABLES}
-    for view in reversed(VIEWS.values()):
-        if view.name in named:
-            named |= {*view.tables}
+    named = named.union(*(VIEWS[name].tables for name in named & VIEWS.keys()))
     return named & {*TABLES} or {*TABLES}
 
 
@@ -94,33 +119,48 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
             remedy = f"Tables: {', '.join(TABLES)}. Views: {', '.join(VIEWS)}. Named queries: --list."
             raise UsageError(str(error).strip(), place="SQL", remedy=remedy) from None
     plain = [[_plain(value) for value in row] for row in rows]
-    return Report({"columns": columns, "rows": plain}, [], [Section("", columns, [*plain])])
+    return Report({"columns": columns, "rows": plain}, [], _sections(columns, plain))
 
 
-def run_query(config: Config, sql: str) -> Report:
-    """Run one query over what is published under a configuration's name."""
-    return query_target(Target(config.store, config.name, config), sql)
+def _sections(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[Section]:
+    """Return the table of a result; of a wide one a table for each row, with a line for each column."""
+    shown = [[_shown(name, value) for name, value in zip(columns, row, strict=True)] for row in rows]
+    if len(columns) <= WIDE:
+        return [Section("", columns, [*shown])]
+    return [
+        Section(f"row {number}", ("column", "value"), [*zip(columns, row, strict=True)])
+        for number, row in enumerate(shown, start=1)
+    ]
+
+
+def _shown(name: str, value: Any) -> Any:
+    """Return a value as people read it: ids without thousands separators, long nested values cut."""
+    if name.endswith("id") or isinstance(value, list | dict):
+        return textwrap.shorten(str(value), LONGEST, placeholder=" …")
+    return value
 
 
 def list_queries() -> Report:
     """List tables, views and named queries."""
-    queries = [(query.name, query.about) for query in QUERIES.values()]
-    views = [(view.name, view.about) for view in VIEWS.values()]
-    tables = [(name, ", ".join(schema.names)) for name, schema in TABLES.items()]
-    document = {
-        "queries": {q.name: {"about": q.about, "sql": dedent(q.sql).strip()} for q in QUERIES.values()},
-        "views": {v.name: {"about": v.about, "sql": dedent(v.sql).strip()} for v in VIEWS.values()},
-        "tables": {name: schema.names for name, schema in TABLES.items()},
+    document: dict[str, Any] = {
+        kind: {name: {"about": one.about, "sql": one.sql} for name, one in found.items()}
+        for kind, found in (("queries", QUERIES), ("views", VIEWS))
     }
-    return Report(
-        document,
-        [],
-        [
-            Section("Named queries: condvln query TARGET NAME", ("name", "answer"), [*queries]),
-            Section("Views", ("name", "rows"), [*views]),
-            Section("Tables, each with the column source", ("name", "columns"), [*tables]),
-        ],
-    )
+    document["tables"] = {name: schema.names for name, schema in TABLES.items()}
+    sections = [
+        Section("Named queries: condvln query TARGET NAME", ("name", "answer"), _abouts(QUERIES)),
+        Section("Views", ("name", "rows"), _abouts(VIEWS)),
+        Section(
+            "Tables, each with the column source",
+            ("name", "columns"),
+            [(name, ", ".join(schema.names)) for name, schema in TABLES.items()],
+        ),
+    ]
+    return Report(document, [], sections)
+
+
+def _abouts(statements: dict[str, Statement]) -> list[Sequence[Any]]:
+    return [(name, one.about) for name, one in statements.items()]
 
 
 def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
@@ -144,8 +184,6 @@ def _write(result: duckdb.DuckDBPyRelation, out: Path) -> Report:
             except pa.ArrowException as error:
                 raise UsageError(f"CSV holds no nested columns: {error}", where=out, remedy="Write Parquet.") from None
         else:
-            import json
-
             with part.open("w", encoding="utf-8") as handle:
                 for batch in table.to_batches():
                     for row in batch.to_pylist():

@@ -1,4 +1,4 @@
-"""``condvln rebuild``, the form of ``condvln generate`` for schedulers: plan, process what changed, publish, export,
+"""``condvln generate --if-changed``, the form for schedulers: plan, process what changed, publish, export,
 and sweep the store.
 
 Every step may be killed and is taken up by the next rebuild. On one machine a second rebuild of the same name leaves
@@ -13,15 +13,14 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from factory.plan import Plan
-from factory.report import ABORTED
+from factory.planner import Plan
+from factory.report import ABORTED, DONE, WITH_QUARANTINE
+from factory.stage import Unit
 from factory.store import Store
 from factory.sweep import sweep
-from factory.unit import Unit
 from jobs.report import Report
-from jobs.store_lock import alone
 from jobs.watch import Watch
-from jobs.workspace import local_state, open_store
+from jobs.workspace import alone, local_state, open_store
 from schemas.config import Config
 from schemas.errors import CorruptShardError
 
@@ -42,10 +41,12 @@ def run_rebuild(
 ) -> Report:
     """Bring the published snapshot and the export of `config` up to date.
 
-    if_changed : look at names, sizes and times first, and end there when nothing changed since the last rebuild
+    if_changed : look at names, sizes and times first, and end there when none changed since the last rebuild. A file
+        with other bytes but the same size and time isn't noticed
     renew_priors : build the label priors again
     retry_quarantined : try scenes again whose key is in quarantine
-    verify : read every file again that what is published rests on, and make those again that differ from their hash
+    verify : hash every source file again, read every file again that what is published rests on, and make again what
+        differs
     """
     state = local_state(config.store)
     with alone(state, config.name) as held:
@@ -56,7 +57,8 @@ def run_rebuild(
         asked = renew_priors or retry_quarantined or verify
         if if_changed and not asked and watch.unchanged:
             assert watch.memory is not None
-            return _nothing(f"{NOTHING}: no file changed since {watch.memory.looked_at}", watch.memory.quarantined)
+            said = f"{NOTHING}: no name, size or time of a file changed since {watch.memory.looked_at}"
+            return _nothing(said, watch.memory.quarantined, watch.memory.refused)
         return _rebuild(
             _Rebuild(config, store, watch, renew_priors, retry_quarantined, verify, inline, console), asked=asked
         )
@@ -79,12 +81,11 @@ class _Rebuild:
 def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
     # The science is loaded only now: looking whether anything changed does not need it.
     from factory.run import plan
-    from jobs.export_lock import alone_in_export
-    from jobs.listing import listed_units
-    from jobs.pipeline import build_pipeline
+    from jobs.export import alone_in_export
+    from jobs.pipeline import build_pipeline, listed_units
 
     config, watch = job.config, job.watch
-    units = listed_units(config)
+    units = listed_units(config, verify=job.verify)
     renew = ("priors",) if job.renew_priors else ()
     found = plan(
         build_pipeline(config),
@@ -96,10 +97,10 @@ def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
     )
     if not asked and found.unchanged and (config.export is None or watch.export_stands(found.snapshot_id)):
         quarantined = found.counts["QUARANTINED"]
-        watch.remember(found.snapshot_id, quarantined)
+        refused = watch.remember(found.snapshot_id, quarantined)
         counts = {"total": len(units), "fresh": len(units), "made": 0, "quarantined": quarantined}
         said = f"{NOTHING}: {len(units)} scenes are as published"
-        return _nothing(said, quarantined, {"snapshot_id": found.snapshot_id, "counts": counts})
+        return _nothing(said, quarantined, refused, {"snapshot_id": found.snapshot_id, "counts": counts})
     with alone_in_export(config):
         return _work(job, units, found)
 
@@ -127,7 +128,11 @@ def _work(job: _Rebuild, units: Collection[Unit], found: Plan) -> Report:
     if done.exit_code == ABORTED or done.message:
         return report  # stopped, or another run was faster: nothing of ours is published
     exported = False
-    if config.export is not None and done.snapshot_id is not None and not watch.export_stands(done.snapshot_id):
+    if (
+        config.export is not None
+        and done.snapshot_id is not None
+        and not watch.export_stands(done.snapshot_id, verify=job.verify)
+    ):
         try:
             kept = not add_export(report, config, renewed=job.renew_priors)
         except CorruptShardError as error:
@@ -140,13 +145,25 @@ def _work(job: _Rebuild, units: Collection[Unit], found: Plan) -> Report:
         exported = "export" in report.document
     if done.published and config.keep.sweep:
         _sweep(config, job.store, report)
-    watch.remember(done.snapshot_id, done.counts["quarantined"])
+    refused = watch.remember(
+        done.snapshot_id, done.counts["quarantined"], _refusal(config, report) if exported else None
+    )
+    if not exported and refused:
+        report.exit_code = max(report.exit_code, WITH_QUARANTINE)
+        report.lines.append(refused)
     if not exported and not done.record and found.unchanged:
         document = {"snapshot_id": done.snapshot_id, "counts": dict(done.counts)}
-        return _nothing(
-            f"{NOTHING}: {done.counts['total']} scenes are as published", done.counts["quarantined"], document
-        )
+        said = f"{NOTHING}: {done.counts['total']} scenes are as published"
+        return _nothing(said, done.counts["quarantined"], refused, document)
     return report
+
+
+def _refusal(config: Config, report: Report) -> str:
+    """Return why the export that `report` is about ends with exit code 3; empty where it does not."""
+    bias = report.document["export"].get("bias")
+    if config.splits.bias == "fail" and bias is not None and not bias["passed"]:
+        return "the bias gate refuses the export as it is"
+    return "" if sum(report.document["export"]["episodes"].values()) else "the export has no episodes"
 
 
 def _why(counts: dict[str, int], reasons: dict[str, int], removed: int) -> str:
@@ -168,9 +185,15 @@ def _sweep(config: Config, store: Store, report: Report) -> None:
         report.lines.append(f"no unit was swept, since what needs them can't be read: {', '.join(swept.unreadable)}")
 
 
-def _nothing(said: str, quarantined: int = 0, more: Mapping[str, Any] | None = None) -> Report:
+def _nothing(said: str, quarantined: int = 0, refused: str = "", more: Mapping[str, Any] | None = None) -> Report:
+    """Report that there was nothing to do. What earlier runs left in quarantine, and why an export was refused,
+    is said again, with exit code 3, for as long as it is so.
+
+    refused : why the export is not to be used
+    """
     document: dict[str, Any] = {"changed": False, "message": said, "quarantined": quarantined, **(more or {})}
-    lines = [said]
     if quarantined:
-        lines.append(f"{quarantined} scenes are in quarantine: condvln status says why")
-    return Report(document, lines)
+        said += f"; {quarantined} still in quarantine (condvln status says why)"
+    if refused:
+        said += f"; {refused}"
+    return Report(document, [said], exit_code=WITH_QUARANTINE if quarantined or refused else DONE)

@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from condvln.formats.streams import atomic_stream
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Follower
 from condvln.sensors import cameras_of
-from condvln.sensors.pictures import clip_gif, coloured_depth, coloured_instances, contact_sheet, png
-from condvln.sources.source import hash_file
+from condvln.sensors.renderer import clip_gif, coloured_depth, coloured_instances, contact_sheet, png
 from condvln.world import World, open_world
 from jobs.compose import found_scene, refuse_export
-from jobs.pipeline import open_configured
 from jobs.report import Report
-from jobs.show import named_rows
+from jobs.show import named_rows, world_of
 from jobs.workspace import published
 from schemas.config import CameraConfig, Config
 from schemas.errors import UsageError
@@ -129,9 +127,7 @@ def _episode(config: Config, name: str, missing: UsageError) -> _Shots:
         what += ", and no episode id begins with it" if not rows else ""
         raise UsageError(what, place="SCENE|EPISODE", remedy="condvln show CONFIG --sample 5 lists some episodes.")
     (row,) = rows
-    configured = next(one for one in config.sources if one.family == row["source"])
-    asked = configured.model_copy(update={"scenes": (row["scene_id"],), "exclude": ()})
-    world = open_world(open_configured(config, asked, hash_file), row["scene_id"], config.agent)
+    world = world_of(config, row)
     leaf = next(leaf for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
     stops = [_point(subgoal["position"]) for subgoal in leaf["subgoals"]] + [_point(leaf["goals"][0])]
     start, heading = _point(row["start_position"]), -math.radians(row["start_heading_degrees"])

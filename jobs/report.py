@@ -1,18 +1,21 @@
-"""The report of a command, for people (rich) and for scripts (JSON)."""
+"""The report of a command, for people (rich) and for scripts (JSON), its output and its exit code."""
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import typer
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["PIPE_WIDTH", "Report", "Section", "print_report"]
+__all__ = ["PIPE_WIDTH", "Report", "Section", "answer", "by_cause", "console", "print_report"]
 
-PIPE_WIDTH: Final = 160
+PIPE_WIDTH: Final = 200
 """Width in columns of output that does not go to a terminal."""
 
 
@@ -72,9 +75,36 @@ class Report:
         self.lines.extend(lines)
 
 
+def by_cause(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Return rows of (scene, …, cause), those of one cause as one row that counts the scenes and names the first."""
+    groups: dict[tuple[Any, ...], list[Any]] = {}
+    for scene, *rest in rows:
+        groups.setdefault(tuple(rest), []).append(scene)
+    return [
+        (scenes[0] if len(scenes) == 1 else f"{scenes[0]} and {len(scenes) - 1} more", *rest)
+        for rest, scenes in groups.items()
+    ]
+
+
 def _cell(value: Any) -> str:
     if value is None:
         return "–"
     if isinstance(value, float):
         return f"{value:,.3g}" if abs(value) < 1000 else f"{value:,.0f}"
     return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+
+
+def console(quiet: bool = False) -> Console:
+    """Create the console for progress: standard error, so that a program can read the report on standard output."""
+    # In a log a line is one message; a terminal wraps it where it is narrow.
+    return Console(stderr=True, quiet=quiet, soft_wrap=not sys.stderr.isatty())
+
+
+def answer(report: Any, as_json: bool) -> None:
+    """Print a report: for a person, or as one line of JSON. Exits with the report's code unless it is 0."""
+    if as_json:
+        sys.stdout.write(json.dumps(report.as_json(), ensure_ascii=False, sort_keys=True) + "\n")
+    else:
+        print_report(report)
+    if report.exit_code:
+        raise typer.Exit(report.exit_code)

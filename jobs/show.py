@@ -1,11 +1,13 @@
-"""``condvln show``: print episodes with text, tree, truths and paths, and draw each from above.
+"""``condvln show``: print episodes of a snapshot or an export with text, tree, truths and paths; draw each from above.
 
-Scenes without navmesh publish instructions that no episode was placed for: text, tree and truths are shown of them.
+Scenes without navmesh publish instructions that no episode was placed for: text, tree and truths are shown of them. An
+export holds no furniture: its pictures have the floor, the start, and the way to every leaf.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from bisect import insort
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -14,23 +16,23 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.episodes.picture import draw_episode, wall_lines
-from condvln.export.axes import observability_class
-from condvln.instructions.tables import programs_from_table
-from condvln.instructions.tree import program_tree
-from condvln.navigation.navmesh_file import NavMeshFile, parse_navmesh, read_navmesh
+from condvln.export.splits import observability_class
+from condvln.instructions.programs import program_tree, programs_from_table
+from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
+from condvln.navigation.navmesh_file import NavMeshFile, read_navmesh
+from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.scene import Scene
-from condvln.scene.tables import scene_from_tables
 from condvln.sources.source import hash_file
 from condvln.world import World, open_world
 from factory.snapshot import Snapshot
-from jobs.pipeline import built_navmeshes, open_configured
+from jobs.pipeline import open_configured
 from jobs.report import Report
 from jobs.workspace import published
 from schemas.config import Config
-from schemas.errors import CondVLNError, UsageError
+from schemas.errors import CondVLNError, FormatError, UsageError
 from schemas.program import CATEGORIES, Program
 
-__all__ = ["episode_lines", "named_rows", "show_episodes", "spread"]
+__all__ = ["episode_lines", "named_rows", "show_episodes", "show_export", "spread", "world_of"]
 
 Item = TypeVar("Item")
 
@@ -38,6 +40,8 @@ _INSTRUCTION_COLUMNS: Final = (
     "scene_id", "instruction_id", "group_id", "category", "composition", "gold_leaf", "n_leaves", "moves", "words",
     "text",
 )  # fmt: skip
+# Ids are hashes, or made of hashes: taking them in their order is a sample that is the same every time.
+_SAMPLED: Final = (("episodes", "episode_id", None), ("instructions", "instruction_id", list(_INSTRUCTION_COLUMNS)))
 
 
 def show_episodes(
@@ -60,8 +64,8 @@ def show_episodes(
         placed = row["episode_id"] is not None
         report.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
         if picture is not None and placed:
-            path, fault = _draw(config, snapshot, row, tree, program, picture)
-            report.lines.append(f"  picture: {path}" + (f", without walls and first view: {fault}" if fault else ""))
+            world = world_of(config, row)
+            report.lines.append(_picture(picture, row, tree, program, world.pathfinder.navmesh, world))
         report.lines.append("")
     return report
 
@@ -74,22 +78,17 @@ def _chosen(snapshot: Snapshot, name: str | None, sample: int) -> list[dict[str,
                 f"no episode and no instruction {name!r}", remedy="condvln show CONFIG --sample 5 lists some."
             )
         return rows
-    # Ids are hashes: taking them in their order is a sample that is the same every time.
-    episodes = snapshot.table("episodes", narrowed=partial(_first, sample=sample, by="episode_id"))
     first: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for category in CATEGORIES if episodes.num_rows else ():
-        of_category = episodes.filter(pc.equal(episodes["category"], category)).sort_by("episode_id")
-        for source in pc.unique(of_category["source"]).to_pylist():
-            of_source = of_category.filter(pc.equal(of_category["source"], source))
-            first[category, source] = of_source.slice(0, sample).to_pylist()
     for source in snapshot.manifest.tables["instructions"].partitions:
-        lacking = [category for category in CATEGORIES if (category, source) not in first]
-        least = partial(_first, sample=sample, by="instruction_id")
-        table = _instructions(snapshot, source, least) if lacking else pa.table({})
-        for category in lacking if table.num_rows else ():
-            of_category = table.filter(pc.equal(table["category"], category)).sort_by("instruction_id")
-            first[category, source] = _unplaced(of_category.slice(0, sample))
-    if not any(first.values()):
+        for table, by, columns in _SAMPLED:
+            if source not in snapshot.manifest.tables[table].partitions:
+                continue
+            rows = snapshot.table(table, columns, source, partial(_first, sample=sample, by=by)).sort_by(by)
+            for category in CATEGORIES:
+                found = rows.filter(pc.equal(rows["category"], category)).slice(0, sample)
+                if found.num_rows and (category, source) not in first:
+                    first[category, source] = found.to_pylist() if table == "episodes" else _unplaced(found)
+    if not first:
         raise UsageError("the snapshot holds no episodes and no instructions", remedy="Its rejections table says why.")
     return spread(first, sample)
 
@@ -106,8 +105,8 @@ def _first(rows: pa.Table, sample: int, by: str) -> pa.Table:
 
 def _beginning(rows: pa.Table, name: str) -> pa.Table:
     """Return the rows of a file with an id, of the episode or its instruction, that begins with `name`."""
-    columns = {"episode_id", "episode_hash", "instruction_id"} & {*rows.column_names}
-    masks = [pc.starts_with(pc.cast(rows[column], pa.string()), name) for column in sorted(columns)]
+    columns = [name for name in ("episode_id", "episode_hash", "instruction_id") if name in rows.column_names]
+    masks = [pc.starts_with(pc.cast(rows[column], pa.string()), name) for column in columns]
     return rows.filter(reduce(pc.or_, masks))
 
 
@@ -117,8 +116,6 @@ def named_rows(snapshot: Snapshot, name: str) -> list[dict[str, Any]]:
     """
     episodes = snapshot.table("episodes", narrowed=partial(_beginning, name=name))
     for column in ("episode_id", "episode_hash"):
-        if column not in episodes.column_names:  # a snapshot of a former release, whose ids are hashes
-            continue
         ids = pc.cast(episodes[column], pa.string())
         for matches in (pc.equal, pc.starts_with):
             rows: list[dict[str, Any]] = episodes.filter(matches(ids, name)).to_pylist()
@@ -196,10 +193,16 @@ def episode_lines(row: dict[str, Any], tree: str) -> list[str]:
             f"  {mark} leaf {leaf['leaf']}: {leaf['object_id']}, {len(leaf['subgoals'])} subgoals, "
             f"{leaf['geodesic_distance']:.2f} m direct, {leaf['route_length']:.2f} m by its stops"
         )
+    if row.get("looking_path"):
+        decided = ", ".join(map(str, row["looking_decided"]))
+        lines.append(
+            f"  looking path {row['looking_length']:.2f} m, {len(row['looking_actions'])} actions; conditions of the "
+            f"gold route decided after {decided}"
+        )
     start = row["start_position"]
     lines.append(
         f"  start ({start['x']:.2f}, {start['y']:.2f}, {start['z']:.2f}) facing {row['start_heading_degrees']:.0f}°, "
-        f"τ {row['success_distance']} m, at most {row['max_steps']} steps"
+        f"success within {row['success_distance']} m, at most {row['max_steps']} steps"
     )
     return lines
 
@@ -214,58 +217,123 @@ def _instruction_lines(row: dict[str, Any], tree: str) -> list[str]:
     ]
 
 
-def _draw(
-    config: Config, snapshot: Snapshot, row: dict[str, Any], tree: str, program: Program, folder: Path
-) -> tuple[Path, str]:
-    """Draw an episode; return the path of the picture, and the reason why the picture does not show the agent's view at
-    the start (an empty text if it shows the view).
-    """
-    tables = {}
-    for name in ("scenes", "rooms", "objects"):
-        table = snapshot.table(name, partition=row["source"])
-        tables[name] = table.filter(pc.equal(table["scene_id"], row["scene_id"])).drop_columns(["source"])
-    roots = [source.root for source in config.sources if source.family == row["source"]]
-    scenes = [scene_from_tables(tables, root, family=row["source"]) for root in roots]
-    tile = _navmesh(config, snapshot, scenes).tile
-    floor = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
-    world, fault = _world(config, row)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{row['episode_id']}.png"
-    walls = None if world is None else wall_lines(world.scene, world.geometry)
-    view = None if world is None else world.first_view(row)
-    draw_episode(path, scenes[0], floor, row, tree, program=program, walls=walls, view=view)
-    return path, fault
+def world_of(config: Config, row: Mapping[str, Any]) -> World:
+    """Open the scene of an episode with its surfaces, from the first source of the configuration that has it.
 
-
-def _world(config: Config, row: Mapping[str, Any]) -> tuple[World | None, str]:
-    """Return (the scene of a row with the scene's surfaces, an empty text) or, if the scene can't be opened, (None, the
-    reason).
+    Raises
+    ------
+    CondVLNError : no source has the scene, or its files can't be read
     """
-    fault = "no source of the configuration has the scene"
+    fault: CondVLNError = UsageError("no source of the configuration has the scene", remedy="Put its files back.")
     for configured in config.sources:
         if configured.family != row["source"]:
             continue
         asked = configured.model_copy(update={"scenes": (row["scene_id"],), "exclude": ()})
         try:
-            return open_world(open_configured(config, asked, hash_file), row["scene_id"], config.agent), ""
+            return open_world(open_configured(config, asked, hash_file), row["scene_id"], config.agent)
         except CondVLNError as error:
-            fault = str(error)
-    return None, fault
+            fault = error
+    raise fault
 
 
-def _navmesh(config: Config, snapshot: Snapshot, scenes: list[Scene]) -> NavMeshFile:
-    """Return the navmesh of one scene; `scenes` holds the scene once for each configured folder of its family. A
-    navmesh that a run built is read from the store, another from the first of these folders that has the file.
+def _picture(
+    folder: Path, row: dict[str, Any], tree: str, program: Program, navmesh: NavMeshFile, world: World | Scene
+) -> str:
+    """Draw an episode on its navmesh, with furniture, walls and the first view where the whole scene is there; return
+    the line that names the picture.
     """
-    kept = built_navmeshes(config, snapshot)
-    for scene in scenes:
-        if scene.navmesh is None:
+    floor = [navmesh.tile.verts[poly["verts"][: poly["vert_count"]]] for poly in navmesh.tile.polys]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{row['episode_id']}.png"
+    if isinstance(world, Scene):
+        draw_episode(path, world, floor, row, tree, program=program)
+    else:
+        walls = wall_lines(world.scene, world.geometry)
+        draw_episode(path, world.scene, floor, row, tree, program=program, walls=walls, view=world.first_view(row))
+    return f"  picture: {path}"
+
+
+ID_WIDTH: Final = 16
+"""Width to which ids are padded with blanks, so that integers sort by their value."""
+
+
+def show_export(
+    export: Path,
+    *,
+    episode: str | None = None,
+    sample: int | None = None,
+    picture: Path | None = None,
+    roots: Sequence[Path] = (),
+) -> Report:
+    """Show the episode of an export whose id is (or begins with) `episode`, or a sample spread over categories and
+    sources.
+
+    Parameters
+    ----------
+    picture : folder for a PNG of each
+    roots : folders of the datasets whose navmeshes the export does not ship; only pictures need them
+
+    Raises
+    ------
+    UsageError : no manifest, or no such episode
+    FormatError : a damaged manifest
+    """
+    found = [line.row() for line in _lines_shown(export, episode, sample or 1)]
+    if not found:
+        raise UsageError(
+            "the manifests hold no episodes" if episode is None else f"no episode {episode!r}",
+            place=str(export),
+            remedy="condvln show EXPORT --sample 5 lists some.",
+        )
+    report = Report({"episodes": []})
+    for row in found:
+        tree = program_tree(row.program)
+        document = row.model_dump(mode="json")
+        report.document["episodes"].append({**document, "tree": tree})
+        shown = published_row(row)
+        report.extend(episode_lines(shown, tree))
+        if picture is not None:
+            navmesh = NavmeshFolder((export, *roots)).path(row.navmesh, row.navmesh_sha256, f"episode {row.episode_id}")
+            bare = Scene(row.source, row.scene_id, export, (), ())
+            report.lines.append(_picture(picture, shown, tree, row.program, read_navmesh(navmesh), bare))
+        report.lines.append("")
+    return report
+
+
+def _lines_shown(export: Path, episode: str | None, sample: int) -> list[ManifestLine]:
+    """Return the manifest lines whose id or hash is `episode` or, if there are none, those whose id or hash begins with
+    `episode`. If `episode` is None, return `sample` lines, spread evenly over categories and sources; each category and
+    source gives the lines with its first ids.
+    """
+    found: list[ManifestLine] = []
+    exact: list[ManifestLine] = []
+    first: dict[tuple[str, str], list[tuple[str, ManifestLine]]] = {}
+    for line in _lines(export):
+        fields = line.fields()
+        category, source = fields.get("category"), fields.get("source")
+        if not isinstance(category, str) or not isinstance(source, str):
+            raise FormatError(
+                "not a manifest row", where=line.path, place=f"line {line.number}", remedy="Export the split again"
+            )
+        number, hashed = line.ids()
+        name = str(number)
+        if episode is not None:
+            if episode in (name, hashed):
+                exact.append(line)
+            elif name.startswith(episode) or hashed.startswith(episode):
+                found.append(line)
             continue
-        built = kept(scene.family, {"scene_id": scene.scene_id, "navmesh_built": scene.navmesh.built})
-        if built is not None:
-            return parse_navmesh(built, scene.navmesh.path)
-        if (scene.root / scene.navmesh.path).is_file():
-            return read_navmesh(scene.root / scene.navmesh.path)
-    raise UsageError(
-        "the navmesh of this scene is not there", remedy="Put the source's files back: pictures need them."
-    )
+        kept = first.setdefault((category, source), [])
+        insort(kept, (name.rjust(ID_WIDTH), line))
+        del kept[sample:]
+    return exact or found if episode is not None else [line for _, line in spread(first, sample)]
+
+
+def _lines(export: Path) -> Iterator[ManifestLine]:
+    paths = manifest_paths(export)
+    if not paths:
+        raise UsageError(
+            "neither a configuration nor an export", place=str(export), remedy="Name a YAML file or an export's folder."
+        )
+    for path in paths:
+        yield from manifest_lines(path)

@@ -1,25 +1,34 @@
-"""``condvln sources``: list what the configured sources hold, what they lack, and which scenes would be skipped or
-quarantined. Builds nothing.
+"""``condvln sources``: list what the configured sources hold, what they lack, which scenes would be skipped or
+quarantined, and what a run is expected to yield. Runs no stage.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from condvln.instructions.likeness import NO_BORDER, borders
+from condvln.instructions.referents import Referents, room_refs
 from condvln.labels import vocabulary
-from condvln.sources.downloads import look_for
+from condvln.navigation.scene_navmesh import with_shipped_navmesh
+from condvln.scene import Scene
+from condvln.sources.family import look_for
+from condvln.sources.source import UNKNOWN_LABEL, SceneHandle, Source
 from jobs.pipeline import open_configured
-from jobs.report import Report, Section
-from jobs.survey import Survey, survey_source
+from jobs.report import Report, Section, by_cause
 from jobs.workspace import file_hashes, hasher
-from schemas.config import Config
-from schemas.errors import ConfigError, MissingFileError
+from schemas.config import AgentConfig, Config, SamplingConfig
+from schemas.errors import ConfigError, InputError, MissingFileError
 
-__all__ = ["survey"]
+__all__ = ["SceneYield", "Survey", "scene_yield", "survey", "survey_source"]
 
 SHOWN: Final = 20
 """Number of scenes and labels listed on a terminal; ``--json`` has all of them."""
@@ -37,7 +46,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         try:
             opened = open_configured(config, source, hasher(hashes))
             handles = opened.handles()
-        except ConfigError as error:
+        except (ConfigError, InputError) as error:  # InputError: a file that all scenes share can't be read
             document.append({"family": source.family, "root": str(source.root), "error": str(error)})
             sections["Not a dataset"].append((source.family, str(error)))
             continue
@@ -65,7 +74,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
                     {"holds": k.download.holds, "need": k.download.need, "files": k.files, "from": k.download.source}
                     for k in kinds
                 ],
-                "absent": [h.scene_id for h in handles if isinstance(h.fault, MissingFileError) and not h.inputs],
+                "absent": [h.scene_id for h in handles if not h.inputs and type(h.fault) is MissingFileError],
                 **_counts(found),
             }
         )
@@ -87,9 +96,10 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         sections["Warnings"] += [(family, *item) for item in sorted(found.warnings.items())]
         sections["Passed over"] += [(family, *item) for item in found.passed_over[:SHOWN]]
         sections["Will be skipped"] += [(family, *item) for item in found.skipped[:SHOWN]]
-        sections["Unreadable"] += [(family, *item) for item in found.unreadable[:SHOWN]]
+        sections["Unreadable"] += [(family, *item) for item in by_cause(found.unreadable)[:SHOWN]]
     # What was asked for and is not there: a source that can't be used, a scene or pattern that nothing fits.
     absent = any("error" in one or one["absent"] for one in document)
+    unread = [one for one in document if "error" not in one and one["unreadable"] and not one["read"]]
     lines = [
         f"{one['family']}: {len(one[what]) - SHOWN} more {what.replace('_', ' ')} are not shown; --json lists them"
         for one in document
@@ -97,7 +107,9 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         if what in one and len(one[what]) > SHOWN
     ]
     shown = [Section(n, _COLUMNS[n], [*rows]) for n, rows in sections.items()]
-    return Report({"sources": document}, lines, shown, exit_code=ConfigError.exit_code if absent else 0)
+    lines += [f"{one['family']}: none of its {one['scenes']} scenes can be read" for one in unread]
+    code = ConfigError.exit_code if absent else InputError.exit_code if unread else 0
+    return Report({"sources": document}, lines, shown, exit_code=code)
 
 
 _COLUMNS: Final = {
@@ -160,5 +172,209 @@ def _counts(found: Survey) -> dict[str, Any]:
         "passed_over": [list(item) for item in found.passed_over],
         "skipped": [list(item) for item in found.skipped],
         "unreadable": [list(item) for item in found.unreadable],
-        "yields": [one.document() for one in found.yields],
+        "yields": [asdict(one) for one in found.yields],
     }
+
+
+@dataclass
+class Survey:
+    """Counts over the scenes that were read.
+
+    scenes : scenes listed; read : those among them that were read
+    unmapped : objects by raw label that the vocabulary does not know (they never appear in text)
+    warnings : by code, how many places; skipped, unreadable : (scene id, why)
+    passed_over : (path, why) of what holds no scene, or is listed under another name
+    navmeshes : scenes by where their navmesh comes from
+    yields : what to expect of each scene that was read
+    """
+
+    scenes: int = 0
+    read: int = 0
+    rooms: int = 0
+    objects: int = 0
+    with_extent: int = 0
+    unmapped: Counter[str] = field(default_factory=Counter)
+    unmapped_rooms: Counter[str] = field(default_factory=Counter)
+    warnings: Counter[str] = field(default_factory=Counter)
+    navmeshes: Counter[str] = field(default_factory=Counter)
+    passed_over: list[tuple[str, str]] = field(default_factory=list)
+    skipped: list[tuple[str, str]] = field(default_factory=list)
+    unreadable: list[tuple[str, str]] = field(default_factory=list)
+    yields: list[SceneYield] = field(default_factory=list)
+
+    @property
+    def without_extent(self) -> int:
+        """Return the number of objects of unknown extent."""
+        return self.objects - self.with_extent
+
+
+def survey_source(
+    source: Source,
+    handles: Sequence[SceneHandle],
+    agent: AgentConfig,
+    *,
+    anchor_size: float = SamplingConfig().anchor_size,
+    limit: int | None = None,
+    tick: Callable[[], object] | None = None,
+) -> Survey:
+    """Read scenes of a dataset and count their content.
+
+    Parameters
+    ----------
+    handles : the scenes, as ``source.handles()`` lists them
+    agent : whose navmesh is looked for
+    anchor_size : least longest side of a thing that names a room, metres
+    limit : most scenes read, spread evenly over the list; all where None
+    tick : called after each scene
+    """
+    survey = Survey(scenes=len(handles), passed_over=source.passed_over())
+    survey.unreadable += [(h.scene_id, str(h.fault)) for h in handles if h.fault is not None]
+    sound = [h.scene_id for h in handles if h.fault is None]
+    if limit is not None and len(sound) > limit:
+        sound = [sound[k * len(sound) // limit] for k in range(limit)]
+    for scene_id in sound:
+        try:
+            scene = with_shipped_navmesh(source.read(scene_id), agent)
+            _count(survey, source, scene)
+            survey.yields.append(scene_yield(scene, anchor_size))
+        except InputError as error:
+            survey.unreadable.append((scene_id, str(error)))
+        if tick is not None:
+            tick()
+    return survey
+
+
+def _count(survey: Survey, source: Source, scene: Scene) -> None:
+    survey.read += 1
+    survey.rooms += len(scene.rooms)
+    survey.objects += len(scene.objects)
+    survey.with_extent += sum(item.box is not None or item.radius is not None for item in scene.objects)
+    survey.warnings.update(warning.code for warning in scene.warnings)
+    survey.unmapped.update(
+        # A model whose source labels it wrongly goes by its own name.
+        item.raw_label if vocabulary.canonical(item.raw_label, scene.family) == item.label else item.label
+        for item in scene.objects
+        if item.raw_label != UNKNOWN_LABEL and item.label not in vocabulary.labels
+    )
+    survey.unmapped_rooms.update(
+        room.raw_label for room in scene.rooms if room.annotation != "scene" and _unknown_room(room.raw_label, scene)
+    )
+    if len(scene.objects) < 2:
+        survey.skipped.append((scene.scene_id, f"{len(scene.objects)} objects: nothing to relate or to choose between"))
+    origin = _navmesh_origin(source, scene)
+    survey.navmeshes[origin] += 1
+    if origin == "none":
+        why = "no navmesh, and neither mesh nor walls to build one from: instructions without episodes"
+        survey.skipped.append((scene.scene_id, why))
+
+
+def _unknown_room(raw: str, scene: Scene) -> bool:
+    label = vocabulary.room_type(raw, scene.family)
+    return raw != UNKNOWN_LABEL and label not in vocabulary.room_labels
+
+
+def _navmesh_origin(source: Source, scene: Scene) -> str:
+    if scene.navmesh is not None:
+        return "shipped, fits" if scene.navmesh.fits else "shipped, for another agent"
+    # A scan's mesh is there or not; opening it, which may take a minute, would tell no more.
+    if scene.stage or source.geometry(scene) is not None:
+        return "to be built"
+    return "none"
+
+
+@dataclass(frozen=True, slots=True)
+class SceneYield:
+    """The expected output of a run for one scene.
+
+    nothing : why there will be no instructions; empty where there may be some
+    rooms, named : its rooms, and those that text can tell apart
+    absence : rooms where something can be said to be absent
+    blocked : (room, label) pairs whose absence would be claimed, were it not for something that may bear the label
+    nameless : objects of no label of their own that block some; hidden : objects in something shut
+    """
+
+    scene_id: str
+    nothing: str
+    rooms: int
+    named: int
+    absence: int
+    blocked: int
+    nameless: int
+    hidden: int
+
+
+@dataclass(frozen=True, slots=True)
+class _NoFacts:
+    """A stand-in for a scene's facts that knows no relations, so that only labels can name rooms."""
+
+    status: Mapping[str, NDArray[np.int8]]
+    margin: Mapping[str, NDArray[np.float64]]
+    denied: Mapping[str, NDArray[np.bool_]]
+    excluded: Mapping[str, NDArray[np.bool_]]
+
+    def between(self, pairs: NDArray[np.intp]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        return np.zeros((0, len(pairs)), np.int8), np.zeros((0, len(pairs)))
+
+    def closest(self, rival: NDArray[np.bool_]) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        return np.zeros(rival.shape, np.int8), np.zeros(rival.shape)
+
+    def sizes(self, rival: NDArray[np.bool_]) -> Mapping[str, NDArray[np.int8]]:
+        return {}
+
+
+def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
+    """Predict the output of a run for a scene, from its rooms and labels.
+
+    anchor_size : least longest side of a thing that names a room, metres
+    """
+    facts, astride = _NoFacts({}, {}, {}, {}), borders(scene)
+    referents = [
+        Referents.of(
+            room,
+            scene.arrays(room.room_id),
+            facts,
+            vocabulary,
+            anchor_size,
+            scene.family,
+            border=astride.get(room.room_id, NO_BORDER),
+        )
+        for room in scene.rooms
+    ]
+    named = room_refs(referents, vocabulary) if referents else {}
+    everywhere = {label for label in vocabulary.labels if vocabulary.fit_for_text(label)}
+    absence = blocked = 0
+    for one in referents:
+        if not one.complete or not one.room.asked:
+            continue
+        elsewhere = everywhere
+        if not scene.single_room:
+            elsewhere = everywhere & {o.label for o in scene.objects if o.room_id != one.room.room_id}
+        lacking = {x for x in elsewhere if vocabulary.overlapping(x).isdisjoint(one.arrays.labels)}
+        sure = {x for x in lacking if one.lacks(x, vocabulary)}
+        absence += bool(sure)
+        blocked += len(lacking - sure)
+    return SceneYield(
+        scene_id=scene.scene_id,
+        nothing=_nothing(scene, referents, bool(named)),
+        rooms=len(scene.rooms),
+        named=len(named),
+        absence=absence,
+        blocked=blocked,
+        nameless=sum(
+            bool(vocabulary.may_be(item.label, scene.family, None if item.size is None else float(item.size.max())))
+            for item in scene.objects
+        ),
+        hidden=sum(item.hidden for item in scene.objects),
+    )
+
+
+def _nothing(scene: Scene, referents: list[Referents], named: bool) -> str:
+    if len(scene.objects) < 2:
+        return "fewer than two objects: nothing to relate or to choose between"
+    if not any(one.room.asked for one in referents):
+        return "its annotation was checked by nobody, so no room is asked; 'absence: never' asks what claims no absence"
+    if not named:
+        return "no room has a name of its own"
+    if sum(int(one.nameable.sum()) for one in referents) < 2:
+        return "fewer than two objects that text can name"
+    return ""

@@ -7,21 +7,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Final
 
-from pydantic import ValidationError
-
 from factory.snapshot import Snapshot
 from factory.status import AggregateDrift, RefStatus, StoreStatus, drift, store_status
 from factory.store import Store
 from jobs.funnel import add_funnel
 from jobs.progress import LOGS
 from jobs.report import Report, Section
-from jobs.target import Target
-from schemas.config import Config
+from jobs.workspace import Target, pins_of
 from schemas.errors import CorruptShardError, UsageError
-from schemas.snapshot import Pin, RunRecord, SnapshotManifest
+from schemas.snapshot import RunRecord, SnapshotManifest
 from schemas.unit import QuarantineRecord
 
-__all__ = ["report_status", "target_status"]
+__all__ = ["target_status"]
 
 HISTORY_SHOWN: Final = 5
 """Number of earlier snapshots listed for each ref."""
@@ -32,11 +29,6 @@ DAMAGED: Final = 3
 """Exit code if published files are missing or damaged."""
 
 MIB: Final = 2**20
-
-
-def report_status(config: Config) -> Report:
-    """Report the state of the configuration's store and ref."""
-    return target_status(Target(config.store, config.name, config))
 
 
 def target_status(target: Target, *, measure_drift: bool = False, sizes: bool = False) -> Report:
@@ -107,7 +99,7 @@ def _tell_damage(report: Report, found: StoreStatus) -> None:
     if lines:
         report.lines += [f"DAMAGED: {line}" for line in lines]
         report.lines.append(
-            "Run condvln rebuild CONFIG, which rebuilds what is missing or cut (--verify reads every file)"
+            "Run condvln generate CONFIG, which rebuilds what is missing or cut (--verify reads every file)"
         )
         report.exit_code = DAMAGED
 
@@ -173,12 +165,7 @@ def _pins(store: Store, found: StoreStatus, report: Report) -> Section:
         if status.manifest is not None
     }
     rows, document = [], []
-    for entry in sorted(store.list("pins"), key=lambda entry: entry.path):
-        ref = entry.path.rsplit("/", 1)[1].removesuffix(".json")
-        try:
-            pin = Pin.model_validate_json(store.read(entry.path))
-        except (FileNotFoundError, ValidationError):
-            continue
+    for ref, pin in pins_of(store):
         for name, pinned in sorted(pin.tables.items()):
             rows.append((name, ref, pinned.units, now.get(ref), pinned.rows, pinned.hash))
             document.append({"name": name, "ref": ref, **pinned.model_dump(mode="json"), "units_now": now.get(ref)})

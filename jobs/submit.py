@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import secrets
 import shlex
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import yaml
 
+from factory.job_server import PAUSE_SECONDS, JobServer
 from jobs.configuration import load_config
-from jobs.ray_jobs import JobState, RayJobs
 from jobs.report import Report
-from schemas.config import Config
-from schemas.errors import UsageError
 
 __all__ = ["VERBS", "run_submit"]
 
-VERBS: Final = ("sources", "plan", "generate", "rebuild", "status", "export", "verify", "query", "show")
+VERBS: Final = ("sources", "plan", "generate", "status", "export", "verify", "query", "show")
 """Verbs that can be submitted: those that take a configuration."""
 
 SHIPPED: Final = "condvln.yaml"
@@ -68,65 +65,42 @@ def run_submit(
     follow: bool = True,
     say: Callable[[str], None] = lambda text: print(text, end="", flush=True),
     poll: float = POLL_SECONDS,
+    pause: float = PAUSE_SECONDS,
 ) -> Report:
     """Submit a job, and follow it to its end unless `follow` is off. The report's exit code is the job's.
 
     verb, arguments : one of `VERBS`, and further words of its command line; the caller has checked them
     job : submission id; a job that is there under it already is followed, not submitted twice
     say : gets the job's output as it comes
+    poll : seconds between looks at the job; pause : first pause before a request is repeated, seconds
     """
     resolved = load_config(config, overrides, check_roots=False)
-    server = RayJobs(address)
-    version = server.version()
+    server = JobServer(address, pause)
     name = job or f"condvln-{resolved.name}-{verb}-{secrets.token_hex(4)}"
     state = server.state(name) if job is not None else None
     if state is None:
         if isinstance(resolved.store, Path):
             say(f"the store is a folder: every node of the cluster must see {resolved.store}\n")
-        name = server.submit(
-            entrypoint(verb, arguments),
-            name,
-            {"working_dir": server.upload({SHIPPED: _document(resolved), LAUNCHER: FIND_AND_RUN.encode()})},
-            {"condvln": resolved.name, "verb": verb},
-        )
-        say(f"job {name} on {server.address} (Ray {version})\n")
-    document: dict[str, Any] = {"job": name, "address": server.address, "ray": version}
+        settings = yaml.safe_dump(resolved.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
+        files = {SHIPPED: settings, LAUNCHER: FIND_AND_RUN}
+        name = server.submit(entrypoint(verb, arguments), name, files, {"condvln": resolved.name, "verb": verb})
+        say(f"job {name} on {server.address}\n")
+    document: dict[str, Any] = {"job": name, "address": server.address}
     if not follow:
         return Report({**document, "status": "SUBMITTED"}, [f"follow it with --id {name}"])
     try:
-        state = _follow(server, name, say, poll)
+        state = server.follow(name, say, poll)
     except KeyboardInterrupt:
         hint = f"job {name} goes on; follow it again with --id {name}"
         return Report({**document, "status": "RUNNING"}, [hint], exit_code=INTERRUPTED)
-    code = state.exit_code
+    status, message, code = state.status.value, state.message or "", state.driver_exit_code
+    lines = [message] if code is None and message else []
     if code is None:
-        code = 0 if state.status == "SUCCEEDED" else UNKNOWN
-    lines = [f"job {name} {state.status.lower()}, exit code {code}"]
-    if state.exit_code is None and state.message:
-        lines.append(state.message)
-    return Report({**document, "status": state.status, "message": state.message}, lines, exit_code=code)
+        code = 0 if status == "SUCCEEDED" else UNKNOWN
+    lines.insert(0, f"job {name} {status.lower()}, exit code {code}")
+    return Report({**document, "status": status, "message": message}, lines, exit_code=code)
 
 
 def entrypoint(verb: str, arguments: Sequence[str] = ()) -> str:
     """Return the command line of a job; the command uses the Ray cluster on which the job runs."""
     return "exec " + shlex.join(["sh", LAUNCHER, verb, SHIPPED, *arguments, "--set", "ray.address=auto"])
-
-
-def _document(config: Config) -> bytes:
-    return yaml.safe_dump(config.model_dump(mode="json", exclude_defaults=True), sort_keys=False).encode()
-
-
-def _follow(server: RayJobs, job: str, say: Callable[[str], None], poll: float) -> JobState:
-    told = 0
-    while True:
-        # The state first: what is printed before the end is then in the log that is read after it.
-        state = server.state(job)
-        if state is None:
-            raise UsageError(f"the cluster knows no job {job!r} any more", where=server.address)
-        log = server.log(job)
-        if len(log) > told:
-            say(log[told:])
-            told = len(log)
-        if state.ended:
-            return state
-        time.sleep(poll)

@@ -5,9 +5,10 @@ resumed, and tables and layouts are written from the run's published snapshot.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
-from dataclasses import asdict, dataclass
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -18,71 +19,127 @@ from rich.console import Console
 from condvln.formats.image_files import encoders
 from condvln.formats.streams import atomic_stream
 from condvln.manifest import manifest_lines, manifest_path
+from condvln.navigation.follower import ActionSpace
 from condvln.sensors.textures import decoders
-from condvln.trajectories.cameras import Cameras, hub_cameras
-from condvln.trajectories.hub import ANNOTATIONS, SceneWalks, write_hub, write_tables
+from condvln.trajectories.cameras import Sweep, hub_cameras
+from condvln.trajectories.hub import ANNOTATIONS, AddScene, Hub, Layout, SceneWalks, write_hub, write_tables
 from condvln.trajectories.images import IMAGES, clear_parts, clear_walks
 from condvln.trajectories.internvla import internvla_n1
-from condvln.trajectories.layouts import AddScene, Layout, janusvln, link, navila, new_folder
+from condvln.trajectories.janusvln import janusvln
+from condvln.trajectories.layouts import HUBS, link, new_folder, sized, with_hub
 from condvln.trajectories.lerobot import lerobot
-from condvln.trajectories.licences import licences, read_me, refuse_unlicensed
-from condvln.trajectories.recipe import RECIPE_FILES, RECORD, Recipe
+from condvln.trajectories.navila import navila
+from condvln.trajectories.recipe import RECIPE_FILES, RECORD, Recipe, licences, read_me, refuse_unlicensed
 from condvln.trajectories.uninavid import uninavid
 from factory.commits import Commits
 from factory.files import FileHashes
-from factory.local_store import LocalStore
 from factory.pipeline import Pipeline, TableSpec
 from factory.report import ABORTED
 from factory.run import run
 from factory.snapshot import Snapshot
-from factory.stage import Stage
-from factory.unit import Unit
+from factory.stage import Stage, Unit
+from factory.store import LocalStore
 from jobs.compose import refuse_export
-from jobs.generate import CompilationNote, open_executor, run_report
+from jobs.executor import every_node_sees, open_executor
+from jobs.generate import run_report
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report
-from jobs.stages.trajectories import FrameStage, RecipeStage, WalkStage
-from jobs.store_lock import alone
-from jobs.trajectory_images import forget_damaged
-from jobs.trajectory_notes import note_lines, scene_notes
-from jobs.trajectory_progress import Speed, plan_lines
-from jobs.trajectory_recipe import Comparison, encoder_lines, recipe_target, recipe_units, scene_files
-from jobs.trajectory_request import STATE, Request, refuse_links, refuse_strangers, trajectory_config
-from jobs.trajectory_units import Target, estimate, find_target, list_units
-from jobs.workspace import git_revision, hasher
+from jobs.settings import read_section
+from jobs.stages.trajectories import NO_IMAGES, NOTES, STAMP, FrameStage, RecipeStage, WalkStage, stamp_path
+from jobs.trajectory_units import (
+    Comparison,
+    WalkedSplit,
+    encoder_lines,
+    estimate,
+    find_split,
+    list_units,
+    plan_lines,
+    recipe_target,
+    recipe_units,
+    scene_files,
+)
+from jobs.workspace import alone, git_revision, hasher
+from schemas.base import SCHEMA_VERSION
 from schemas.config import CameraConfig, TrajectoryConfig
-from schemas.errors import StoreError, UsageError
-from schemas.trajectory_tables import TRAJECTORY_SORT_KEYS, TRAJECTORY_TABLES
-from schemas.version import SCHEMA_VERSION
+from schemas.errors import CondVLNError, StoreError, UsageError
+from schemas.tables import SORT_KEYS, TRAJECTORY_TABLES
 
-__all__ = ["LAYOUTS", "RECORD", "WRITTEN", "Request", "make_trajectories", "trajectory_config"]
+__all__ = ["LAYOUTS", "RECORD", "WRITERS", "WRITTEN", "Request", "make_trajectories", "note_lines", "trajectory_config"]
 
-_VIEWS: Final[Mapping[str, Layout]] = {"navila": navila, "uninavid": uninavid, "janusvln": janusvln}
-"""Layouts that need the main camera only."""
-
-_OF_ALL_CAMERAS: Final[Mapping[str, Callable[[Path, str, Cameras], AbstractContextManager[AddScene]]]] = {
+WRITERS: Final[Mapping[str, Layout]] = {
+    "navila": navila,
+    "uninavid": uninavid,
+    "janusvln": janusvln,
     "internvla-n1": internvla_n1,
     "lerobot": lerobot,
 }
-"""Layouts that take further cameras."""
+"""Layouts with a folder of their own."""
 
-LAYOUTS: Final = ("streamvln", *_VIEWS, *_OF_ALL_CAMERAS)
-"""Names of the layouts. The first one is the hub, which is always written."""
+LAYOUTS: Final = (*HUBS, *WRITERS)
+"""Names of the layouts. The first two are the hub's own files."""
+
+STATE: Final = ".condvln"
+"""Store of the run below the folder: what is committed, and who wrote which images."""
 
 RECIPE: Final = "recipe"
 """Folder with links to the files of the recipe, so that they can be passed on without the images."""
 
-WRITTEN: Final = (*RECIPE_FILES, ANNOTATIONS, RECIPE, *LAYOUTS[1:], f"navila/{ANNOTATIONS}")
+WRITTEN: Final = (*RECIPE_FILES, ANNOTATIONS, RECIPE, *WRITERS, f"navila/{ANNOTATIONS}")
 """Files and folders that are written under another name until they are complete, beside the folders of images."""
 
 REF: Final = "trajectories"
+COUNTED: Final = ("trajectories", "episodes", "frames", "images", "bytes", "stored_bytes", "left_out")
 
-KERNELS: Final = ("paths", "follower", "cameras", "depth images", "pixel goals")
-"""Groups of kernels that walks and images need (``jobs.warm_up``)."""
+SHOWN: Final = 10
+"""Number of different notes shown on a terminal; ``trajectories.json`` has all of them."""
+NAMED: Final = 3
+"""Number of scenes that a note names."""
 
-_STAGE_OF: Final = {"trajectories": "walks", "left_out": "walks", "poses": "frames"}
 _LIBRARIES: Final = ("isal", "numba", "numpy", "pillow", "pyarrow", "simplejpeg")
 """Libraries whose versions may change images or tables."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a run.
+
+    target : a configuration or an export; overrides, scenes : as `find_split` takes them
+    licensed : the user has accepted the terms of scenes whose images may not be passed on
+    recipe_only : render and hash the images, and do not write them
+    recipe : folder of a recipe, whose walks and images are made again; `target` is empty then, and the split, cameras
+        and configuration are those of the recipe
+    """
+
+    target: str
+    out: Path
+    split: str = "train"
+    layouts: tuple[str, ...] = ("streamvln",)
+    camera: str = "streamvln"
+    sweep: Sweep | None = None
+    config: TrajectoryConfig = field(default_factory=TrajectoryConfig)
+    scenes: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
+    workers: int | None = None
+    inline: bool = False
+    plan: bool = False
+    retry: bool = False
+    licensed: bool = False
+    recipe_only: bool = False
+    recipe: Path | None = None
+
+
+def trajectory_config(walks: Sequence[str], keys: Sequence[str]) -> TrajectoryConfig:
+    """Return the configuration of walks with some keys set.
+
+    walks : kinds of walks; the default if empty
+    keys : ``jpeg_quality=80`` and the like
+
+    Raises
+    ------
+    UsageError : a text is not of the form ``key=value``, an unknown key, or a value that is not allowed
+    """
+    given = {"walks": list(walks)} if walks else {}
+    return read_section(TrajectoryConfig, keys, option="--walk", example="jpeg_quality=80", given=given)
 
 
 def make_trajectories(request: Request, console: Console | None = None) -> Report:
@@ -101,8 +158,8 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
         )
     console = console or Console(stderr=True)
     folder = request.out.resolve()
-    refuse_strangers(folder)
-    refuse_links(folder, (IMAGES, RECIPE, *LAYOUTS[1:]))
+    _refuse_strangers(folder)
+    _refuse_links(folder, (IMAGES, RECIPE, *WRITERS))
     if request.recipe_only and (folder / IMAGES).exists():
         raise UsageError("the folder has images", where=folder, place="--recipe-only", remedy="Name another folder.")
     state = folder / STATE
@@ -130,7 +187,7 @@ def make_trajectories(request: Request, console: Console | None = None) -> Repor
 class _Work:
     """The work of a run: the scenes as units, the cameras, the layouts, and the configuration of walks and images."""
 
-    target: Target
+    target: WalkedSplit
     config: TrajectoryConfig
     cameras: Mapping[str, CameraConfig]
     layouts: tuple[str, ...]
@@ -145,14 +202,16 @@ def _refuse_unlicensed(request: Request, families: Iterable[str]) -> None:
 
 
 def _export_work(request: Request, hashes: FileHashes) -> _Work:
-    target = find_target(request.target, request.split, request.scenes, request.roots, request.overrides)
+    target = find_split(request.target, request.split, request.scenes, request.overrides)
     lines = manifest_lines(manifest_path(target.export, target.split))
     _refuse_unlicensed(request, (str(line.fields().get("source")) for line in lines))
     cameras = hub_cameras(request.camera, request.layouts, request.sweep)
-    config = request.config
+    config = sized(request.config, request.layouts)
     units = list_units(target, cameras, config, hasher(hashes))
-    stage = WalkStage(config, target.texts if "oracle" in config.walks else None, target.config.limits)
-    return _Work(target, config, cameras, request.layouts, units, stage)
+    own = target.config
+    texts = target.texts if "oracle" in config.walks else None
+    stage = WalkStage(config, texts, own.limits)
+    return _Work(target, config, cameras, with_hub(request.layouts, config), units, stage)
 
 
 def _recipe_work(request: Request, hashes: FileHashes) -> _Work:
@@ -161,7 +220,8 @@ def _recipe_work(request: Request, hashes: FileHashes) -> _Work:
     _refuse_unlicensed(request, (family for family, _ in recipe.scenes))
     target = recipe_target(recipe, request.scenes)
     record = recipe.record
-    layouts = tuple(name for name in record.layouts if name in LAYOUTS) or ("streamvln",)
+    layouts = tuple(name for name in record.layouts if name in LAYOUTS)
+    sized(record.config, layouts)
     units = recipe_units(recipe, target, hasher(hashes))
     return _Work(target, record.config, record.cameras, layouts, units, RecipeStage(recipe.folder), recipe)
 
@@ -178,14 +238,19 @@ class _Run:
         store = LocalStore(state)
         clear_parts(self.folder, WRITTEN)
         pipeline = self._pipeline(state)
-        forget_damaged(store, self.folder, state)
+        _forget_damaged(store, self.folder, state)
         ray = self.work.target.config.ray
         if self.request.workers is not None:
             ray = ray.model_copy(update={"workers": self.request.workers})
         with (
             RunProgress(self.console) as bar,
-            LoggedRun(store, state, Speed(bar, Commits(store), self.console)) as log,
-            open_executor(ray, self.request.inline, bar.note, KERNELS, CompilationNote(self.console)) as executor,
+            LoggedRun(store, state, bar) as log,
+            open_executor(
+                ray,
+                inline=self.request.inline,
+                say=bar.note,
+                folders=[*every_node_sees(self.work.target.config), str(self.folder)],
+            ) as executor,
         ):
             done = run(
                 pipeline,
@@ -194,7 +259,7 @@ class _Run:
                 REF,
                 executor,
                 budget=ray.max_failures,
-                progress=log.progress,
+                progress=log,
                 retry_quarantined=self.request.retry,
                 memory=None if ray.memory_gib is None else int(ray.memory_gib * 2**30),
                 revision=git_revision(),
@@ -220,41 +285,35 @@ class _Run:
         return Pipeline(
             name="trajectories",
             stages=(work.walks, frames),
-            tables={
-                name: TableSpec(schema, TRAJECTORY_SORT_KEYS[name], _STAGE_OF[name])
-                for name, schema in TRAJECTORY_TABLES.items()
-            },
+            tables={name: TableSpec(schema, SORT_KEYS[name]) for name, schema in TRAJECTORY_TABLES.items()},
         )
 
     def _assemble(self, snapshot: Snapshot, pipeline: Pipeline, report: Report) -> dict[str, Any]:
         """Write the tables and layouts from the snapshot and, last, the record of the run; return the counts."""
-        counts = {
-            "trajectories": 0,
-            "episodes": 0,
-            "frames": 0,
-            "images": 0,
-            "bytes": 0,
-            "stored_bytes": 0,
-            "left_out": 0,
-        }
-        kinds: dict[str, int] = {}
+        counts = dict.fromkeys(COUNTED, 0)
+        kinds: Counter[str] = Counter()
         kept: set[str] = set()
         work = self.work
         keep = not self.request.recipe_only
         compared = None if work.recipe is None else Comparison(work.recipe)
         with ExitStack() as stack:
-            adds = [stack.enter_context(view) for view in self._views()] if keep else []
+            hub = Hub(self.folder, work.target.split, work.cameras, ActionSpace(work.config.forward, work.config.turn))
+            named = [name for name in work.layouts if name in WRITERS] if keep else []
+            adds = [stack.enter_context(WRITERS[name](hub)) for name in named]
             if compared is not None:
                 adds.append(compared.add)
-            write = write_hub if keep else write_tables
+            annotated = keep and bool(set(HUBS) & set(work.layouts))
+            write = write_hub if annotated else write_tables
             self._count(write(self.folder, self._scenes(snapshot, pipeline)), adds, counts, kinds, kept)
         if keep:
-            for name in set(LAYOUTS[1:]) - set(work.layouts):
+            for name in WRITERS.keys() - set(work.layouts):
                 shutil.rmtree(self.folder / name, ignore_errors=True)
+            if not annotated:
+                (self.folder / ANNOTATIONS).unlink(missing_ok=True)
             clear_walks(self.folder, kept)
         terms = licences(unit.partition for unit in work.units)
         libraries = {name: metadata.version(name) for name in _LIBRARIES}
-        notes = scene_notes(snapshot, pipeline, work.units)
+        notes = _scene_notes(snapshot, pipeline, work.units)
         record = {
             "schema_version": SCHEMA_VERSION,
             "split": work.target.split,
@@ -293,22 +352,12 @@ class _Run:
         report.lines += compared.lines(libraries)
         report.exit_code = report.exit_code or compared.exit_code
 
-    def _views(self) -> Iterator[AbstractContextManager[AddScene]]:
-        """Yield the writers of the requested layouts. The hub, StreamVLN's layout whose images all others share, is not
-        among them: it is written in any case.
-        """
-        for name in self.work.layouts:
-            if name in _VIEWS:
-                yield _VIEWS[name](self.folder, self.work.target.split)
-            elif name in _OF_ALL_CAMERAS:
-                yield _OF_ALL_CAMERAS[name](self.folder, self.work.target.split, self.work.cameras)
-
     @staticmethod
     def _count(
         scenes: Iterator[SceneWalks],
         views: Sequence[AddScene],
         counts: dict[str, int],
-        kinds: dict[str, int],
+        kinds: Counter[str],
         kept: set[str],
     ) -> None:
         """Pass each scene to the layouts `views`, and add the scene's numbers to `counts`, `kinds` and `kept`."""
@@ -316,6 +365,7 @@ class _Run:
             for add in views:
                 add(scene)
             rows = scene.trajectories()
+            kinds.update(row["kind"] for row in rows)
             poses = scene.tables["poses"]
             counts["trajectories"] += len(rows)
             counts["episodes"] += len({row["episode_id"] for row in rows})
@@ -326,9 +376,7 @@ class _Run:
             stored = poses.group_by("sha256").aggregate([("bytes", "min")])
             counts["stored_bytes"] += sum(stored["bytes_min"].to_pylist())
             counts["left_out"] += scene.tables["left_out"].num_rows
-            for row in rows:
-                kinds[row["kind"]] = kinds.get(row["kind"], 0) + 1
-                kept.add(row["frames_of"])
+            kept.update(row["frames_of"] for row in rows)
 
     def _scenes(self, snapshot: Snapshot, pipeline: Pipeline) -> Iterator[SceneWalks]:
         """Yield the scenes of a snapshot in the order of their ids; one at a time is in memory."""
@@ -339,3 +387,93 @@ class _Run:
                 tables[name] = table if table.num_columns else schema.empty_table()
             if any(table.num_rows for table in tables.values()):
                 yield SceneWalks(unit.partition, str(unit.payload["scene_id"]), tables)
+
+
+def _refuse_strangers(folder: Path) -> None:
+    """Refuse a folder with files that this command did not write."""
+    if folder.exists() and not folder.is_dir():
+        raise UsageError("this is a file", where=folder, place="--out", remedy="Name a folder.")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / STATE).is_dir() and not (folder / RECORD).is_file():
+        raise UsageError(
+            "the folder holds files that condvln trajectories did not write",
+            where=folder,
+            place="--out",
+            remedy="Name an empty folder.",
+        )
+
+
+def _refuse_links(folder: Path, names: Iterable[str]) -> None:
+    """Refuse a folder of which one of `names` is a link: a run replaces and removes what is in them, and must not do so
+    elsewhere.
+    """
+    for path in (folder / name for name in names):
+        if path.is_symlink():
+            raise UsageError(
+                "this is a link, and what a run replaces or removes would lie outside of its folder",
+                where=path,
+                place="--out",
+                remedy="Name the folder on the other disk by --out, or let the whole folder be a link.",
+            )
+
+
+def _forget_damaged(store: LocalStore, folder: Path, state: Path) -> None:
+    """Remove the commits of images that are missing, truncated or overwritten by another commit, so that the images are
+    made again.
+    """
+    commits = Commits(store)
+    for stage, key in [*commits.committed()]:
+        if stage != "frames":
+            continue
+        found = commits.find(stage, key)
+        if found is None:
+            continue
+        commit = found.commit
+        try:
+            stamp = commits.file(commit, STAMP)
+            if stamp == NO_IMAGES:
+                continue
+            sound = stamp_path(state, commit.unit_id).read_bytes() == stamp
+            poses = commits.table(stage, key, "poses")
+        except (CondVLNError, OSError):
+            sound = False
+        if not (sound and _complete(folder, poses.select(["image", "bytes"]).to_pylist())):
+            commits.discard(stage, key)
+
+
+def _complete(folder: Path, images: Sequence[Mapping[str, Any]]) -> bool:
+    sizes: dict[Path, dict[str, int]] = {}
+    for image in images:
+        path = folder / image["image"]
+        if path.parent not in sizes:
+            with suppress(OSError):
+                sizes[path.parent] = {entry.name: entry.stat().st_size for entry in path.parent.iterdir()}
+        if sizes.get(path.parent, {}).get(path.name) != image["bytes"]:
+            return False
+    return True
+
+
+def _scene_notes(snapshot: Snapshot, pipeline: Pipeline, units: Sequence[Unit]) -> dict[str, list[str]]:
+    """Return the notes of each scene that has some, by unit id, sorted."""
+    found = {}
+    for unit_id in sorted(unit.unit_id for unit in units):
+        notes = orjson.loads(snapshot.unit_files(unit_id, pipeline).get(NOTES, b"[]"))
+        if notes:
+            found[unit_id] = [str(note) for note in notes]
+    return found
+
+
+def note_lines(notes: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return a sentence for each different note, the most frequent first, with the scenes that have it."""
+    scenes: defaultdict[str, list[str]] = defaultdict(list)
+    for unit_id, texts in notes.items():
+        for text in texts:
+            scenes[text].append(unit_id)
+    ranked = sorted(scenes, key=lambda text: (-len(scenes[text]), text))
+    lines = []
+    for text in ranked[:SHOWN]:
+        named = scenes[text]
+        more = f" and {len(named) - NAMED:,} more scenes" if len(named) > NAMED else ""
+        lines.append(f"{', '.join(named[:NAMED])}{more}: {text}")
+    if len(ranked) > SHOWN:
+        lines.append(f"… and {len(ranked) - SHOWN:,} more notes, see notes in trajectories.json")
+    return lines

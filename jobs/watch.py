@@ -16,17 +16,17 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from stat import S_ISDIR
 from typing import Any, Final
 
-from condvln.sources.file_listing import is_folder
 from factory.commits import Commits
+from factory.files import hash_file
 from factory.inventory import glance
 from factory.store import Store
 from jobs.workspace import graph_folders, source_paths
 from schemas.base import Document
 from schemas.canonical import digest
 from schemas.config import Config
+from schemas.errors import MissingFileError, TransientIOError
 from schemas.unit import Hash64
 
 __all__ = ["Memory", "Watch", "code_digest", "look"]
@@ -52,6 +52,8 @@ class Memory(Document):
     exported: Hash64 | None = None
     """Record of what the export was made of."""
     quarantined: int = 0
+    refused: str = ""
+    """Why the export is not to be used; empty where it is sound."""
     looked_at: str = ""
 
 
@@ -88,28 +90,37 @@ class Watch:
         memory = self.memory
         return memory is not None and memory.inputs == self._inputs and memory.outputs == self._outputs()
 
-    def export_stands(self, snapshot_id: str | None) -> bool:
+    def export_stands(self, snapshot_id: str | None, *, verify: bool = False) -> bool:
         """Whether the export was made of this snapshot with these settings, and all its files exist and have the
         recorded sizes.
+
+        verify : compare their hashes, too
         """
         if self.memory is None or self.memory.exported != digest([snapshot_id, self._exported]):
             return False
-        return self._export_stats() is not None
+        return self._export_stats(verify=verify) is not None
 
-    def remember(self, snapshot_id: str | None, quarantined: int) -> None:
-        """Record a complete rebuild."""
+    def remember(self, snapshot_id: str | None, quarantined: int, refused: str | None = None) -> str:
+        """Record a complete rebuild; return why the export is not to be used, empty where it is sound.
+
+        refused : None where the export is the one before
+        """
+        if refused is None:
+            refused = self.memory.refused if self._config.export is not None and self.memory is not None else ""
         exported = None if self._config.export is None else digest([snapshot_id, self._exported])
         memory = Memory(
             inputs=self._inputs if self._settled else UNSETTLED,
             outputs=self._outputs(),
             exported=exported,
             quarantined=quarantined,
+            refused=refused,
             looked_at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         )
         temporary = self._path.with_suffix(".tmp")
         with suppress(OSError):  # a store that is read-only is looked at in full every time
             temporary.write_text(memory.model_dump_json(), encoding="utf-8")
             os.replace(temporary, self._path)
+        return refused
 
     def _outputs(self) -> str:
         quarantined = sorted([*key] for key in Commits(self._store).quarantined())
@@ -118,9 +129,9 @@ class Watch:
             document.append(self._export_stats())
         return digest(document)
 
-    def _export_stats(self) -> list[Any] | None:
+    def _export_stats(self, *, verify: bool = False) -> list[Any] | None:
         """Return (path, size, time) of every file that the export lists; None when a file is missing or has another
-        size.
+        size or, with ``verify``, another hash.
         """
         assert self._config.export is not None
         found: list[Any] = []
@@ -130,8 +141,10 @@ class Watch:
                 stat = (self._config.export / path).stat()
                 if stat.st_size != listed["bytes"]:
                     return None
+                if verify and hash_file(self._config.export / path) != listed["sha256"]:
+                    return None
                 found.append([path, stat.st_size, stat.st_mtime_ns])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, MissingFileError, TransientIOError):
             return None
         return [index.get("snapshot"), found]
 
@@ -146,42 +159,28 @@ def look(roots: Iterable[Path]) -> tuple[str, bool]:
     state = hashlib.sha256()
     youngest = 0
     seen: set[tuple[int, int]] = set()
-    stack = [str(root) for root in roots]
-    while stack:
-        files, folders = _inside(stack.pop(), seen)
-        # Sorted in each folder, since a list of all files would grow with the dataset.
-        stack += sorted(folders)
-        state.update(json.dumps(sorted(files)).encode())
-        youngest = max([youngest, *(mtime for _, _, mtime in files)])
+    for root in roots:
+        if not root.is_dir():
+            file = _stat(str(root))
+            state.update(json.dumps(file).encode())
+            youngest = max(youngest, file[2])
+        for folder, folders, files in os.walk(root, followlinks=True):
+            own = os.stat(folder)
+            if (own.st_dev, own.st_ino) in seen:
+                folders.clear()
+                continue
+            seen.add((own.st_dev, own.st_ino))
+            folders.sort()
+            # A folder at a time, since a list of all files would grow with the dataset.
+            found = [_stat(os.path.join(folder, name)) for name in sorted(files)]
+            state.update(json.dumps(found).encode())
+            youngest = max([youngest, *(mtime for _, _, mtime in found)])
     return state.hexdigest(), time.time() - youngest / 1e9 >= SETTLED_SECONDS
 
 
-def _inside(place: str, seen: set[tuple[int, int]]) -> tuple[list[list[Any]], list[str]]:
-    """Return ([path, size, mtime_ns] of the files in a folder, the paths of its folders); of a file, itself. Nothing of
-    a place that is in `seen`, to which it is added.
-    """
+def _stat(path: str) -> list[Any]:
     try:
-        stat = os.stat(place)
-        entries = [*os.scandir(place)] if S_ISDIR(stat.st_mode) else []
-    except OSError:
-        return [[place, -1, 0]], []
-    if (stat.st_dev, stat.st_ino) in seen:
-        return [], []
-    seen.add((stat.st_dev, stat.st_ino))
-    files = [] if S_ISDIR(stat.st_mode) else [_stat(place)]
-    folders = []
-    for entry in entries:
-        if is_folder(entry):
-            folders.append(entry.path)
-        else:
-            files.append(_stat(entry))
-    return files, folders
-
-
-def _stat(file: str | os.DirEntry[str]) -> list[Any]:
-    path = file if isinstance(file, str) else file.path
-    try:
-        stat = os.stat(path) if isinstance(file, str) else file.stat()
+        stat = os.stat(path)
     except OSError:
         return [path, -1, 0]
     return [path, stat.st_size, stat.st_mtime_ns]

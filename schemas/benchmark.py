@@ -31,41 +31,26 @@ class BenchmarkFile(Document):
 
     benchmark: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     version: str = Field(min_length=1, max_length=100)
-    draft: bool = Field(
-        description="a draft may still change; results on a draft are not comparable with results on other versions"
-    )
-    run: Path = Field(description="configuration of the run: sources, seeds, counts and splits; relative to this file")
-    floor: int = Field(
-        ge=1,
-        description="minimum number of episodes in each cell split × source × category; smaller cells are reported",
-    )
-    instructions: Count = Field(
-        description="minimum number of instructions over all sources; a build with fewer reports the shortfall"
-    )
+    draft: bool
+    """a draft may still change; results on a draft are not comparable with results on other versions"""
+    run: Path
+    """configuration of the run: sources, seeds, counts and splits; relative to this file"""
+    floor: int = Field(ge=1)
+    """minimum number of episodes in each cell split × source × category; smaller cells are reported"""
+    instructions: Count
+    """minimum number of instructions over all sources; a build with fewer reports the shortfall"""
     splits: tuple[Literal["train", "val_seen", "val_unseen", "test"], ...] = Field(
-        ("train", "val_seen", "val_unseen", "test"),
-        min_length=1,
-        description="splits in which every cell must reach the floor",
+        ("train", "val_seen", "val_unseen", "test"), min_length=1
     )
-    scenes: dict[str, Count] = Field(
-        default_factory=dict,
-        description="number of scenes that the run takes of whole copies of the datasets, by family; a build with "
-        "fewer says so",
-    )
-    stages: dict[str, int] = Field(
-        description="versions of the code that decides rows: of each stage, of the priors, and of the choice of "
-        "episodes (select)"
-    )
-    release: str | None = Field(
-        None,
-        min_length=1,
-        max_length=100,
-        description="release or tag of the repository whose code builds the version; of final versions only",
-    )
-    configuration: dict[str, Hash64] = Field(
-        default_factory=dict,
-        description="SHA-256 of each part of the run's configuration that decides rows; of final versions only",
-    )
+    """splits in which every cell must reach the floor"""
+    scenes: dict[str, Count] = Field(default_factory=dict)
+    """number of scenes that the run takes of whole copies of the datasets, by family; a build with fewer says so"""
+    stages: dict[str, int]
+    """versions of the code that decides rows: of each stage, of the priors, and of the choice of episodes (select)"""
+    release: str | None = Field(None, min_length=1, max_length=100)
+    """release or tag of the repository whose code builds the version; of final versions only"""
+    configuration: dict[str, Hash64] = Field(default_factory=dict)
+    """SHA-256 of each part of the run's configuration that decides rows; of final versions only"""
 
     @model_validator(mode="after")
     def _names_what_it_freezes(self) -> BenchmarkFile:
@@ -83,15 +68,18 @@ class BenchmarkCell(Document):
     source: str
     category: str
     episodes: Count
-    shortfall: Count = Field(description="number of episodes by which the cell is below the floor")
+    shortfall: Count
+    """number of episodes by which the cell is below the floor"""
 
 
 class BenchmarkSource(Document):
     """The yield of the scenes of one family."""
 
-    scenes: Count = Field(description="number of scenes that were processed")
+    scenes: Count
+    """number of scenes that were processed"""
     instructions: Count
-    episodes: Count = Field(description="number of episodes in all splits of the export")
+    episodes: Count
+    """number of episodes in all splits of the export"""
 
 
 class BenchmarkStops(Document):
@@ -99,7 +87,8 @@ class BenchmarkStops(Document):
 
     split: str
     leaves: Annotated[int, Field(ge=2, description="number of leaves of the programs")]
-    stops: tuple[Count, Count, Count] = Field(description="number of leaves with no, one and two stops")
+    stops: tuple[Count, Count, Count]
+    """number of leaves with no, one and two stops"""
 
 
 class BenchmarkScene(Document):
@@ -107,8 +96,10 @@ class BenchmarkScene(Document):
 
     status: Literal["ok", "skipped", "quarantined"]
     reason: str = ""
-    inputs: Hash32 | None = Field(description="hash of the scene's source files, with their paths below the dataset")
-    tables: dict[str, Hash32] = Field(description="hash of the scene's rows, by <stage>/<table>")
+    inputs: Hash32 | None
+    """hash of the scene's source files, with their paths below the dataset"""
+    tables: dict[str, Hash32]
+    """hash of the scene's rows, by <stage>/<table>"""
 
 
 class BenchmarkRecord(VersionedDocument):
@@ -119,19 +110,16 @@ class BenchmarkRecord(VersionedDocument):
     draft: bool
     snapshot_id: Hash32
     export_digest: Hash64
-    stages: dict[str, int] = Field(
-        description="versions of the code that decides rows: of each stage, of the priors, and of the choice of "
-        "episodes (select); records of former drafts have those of stages only"
-    )
-    configuration: dict[str, Any] = Field(description="configuration keys that affect rows; no paths of this machine")
+    stages: dict[str, int]
+    """versions of the code that decides rows: of each stage, of the priors, and of the choice of episodes (select)"""
+    configuration: dict[str, Any]
+    """configuration keys that affect rows; no paths of this machine"""
     instructions: Count
     episodes: dict[str, Count]
-    sources: dict[str, BenchmarkSource] = Field(
-        default_factory=dict, description="yield of each family; empty in records of former drafts"
-    )
-    stops: list[BenchmarkStops] = Field(
-        default_factory=list, description="stops before the goals of all leaves; empty in records of former drafts"
-    )
+    sources: dict[str, BenchmarkSource]
+    """yield of each family"""
+    stops: list[BenchmarkStops]
+    """stops before the goals of all leaves"""
     cells: list[BenchmarkCell]
     scenes: dict[str, BenchmarkScene]
 
@@ -161,13 +149,15 @@ class LeaderboardRow(Document):
 
     agent: str
     kind: Literal["reference", "submission"]
-    predictions_sha256: Hash64 | None = Field(
-        description="SHA-256 of the file; null for reference agents, which are walked again"
-    )
+    predictions_sha256: Hash64 | None
+    """SHA-256 of the file; null for reference agents, which are walked again"""
     episodes: Count
     missing: Count
     measures: dict[str, MeasuredMean]
-    against_above: PairedDifference | None = Field(description="difference from the row above; null in the first row")
+    notes: tuple[str, ...] = ()
+    """what was left out or changed when the agent's file was read"""
+    against_above: PairedDifference | None
+    """difference from the row above; null in the first row"""
 
 
 class Leaderboard(VersionedDocument):
@@ -178,5 +168,6 @@ class Leaderboard(VersionedDocument):
     draft: bool
     snapshot_id: Hash32
     split: str
-    seed: int = Field(description="seed of the random reference agents and of the confidence intervals")
+    seed: int
+    """seed of the random reference agents and of the confidence intervals"""
     rows: list[LeaderboardRow]

@@ -6,17 +6,18 @@
     ├── UsageError              the command or its configuration is wrong          exit 1
     │   └── ConfigError         a key of the configuration: unknown, mistyped, missing folder
     ├── InputError              a source file can't be used: the scene is quarantined
-    │   ├── FormatError         malformed, truncated, hostile, or of the wrong type
+    │   ├── FormatError         malformed, hostile, or of the wrong type
+    │   │   └── TruncatedError  the file ends early; what came before was read
     │   ├── LimitError          a scene is larger than a limit of the configuration
     │   ├── MissingFileError    a file that the format requires is not there
+    │   │   └── PointerError    a pointer of Git LFS or git-annex stands in its place
     │   └── PathEscapeError     a path inside a file climbs out of the dataset's root
     ├── StoreError              the store refused or is damaged
     │   ├── CorruptShardError   bytes on disk differ from their recorded hash
     │   └── PublishConflictError  another publisher moved the ref first
     ├── SmallerExportError      a new export would hold less for no known reason        exit 3
     ├── TransientIOError        worth another try (network, busy disk)
-    ├── ClusterError            Ray or a process of ours died, or does not answer; what was committed stays
-    ├── WorkerError             a worker process died: its unit is tried again, alone    exit 3
+    ├── ClusterError            Ray died or does not answer, or a node does not see the data; what was committed stays
     ├── StageError              a stage broke its contract (wrong columns, repeated keys, an undeclared table)
     ├── DeadlineError           a unit ran longer than its deadline
     ├── MemoryCeilingError      a unit outgrew the memory ceiling of its process (also a MemoryError)
@@ -29,8 +30,6 @@ An error says what is wrong, where (file, place in it, scene) and what to do abo
 from __future__ import annotations
 
 from pathlib import Path
-
-from schemas.file_name import shown_path
 
 __all__ = [
     "ClusterError",
@@ -45,15 +44,25 @@ __all__ = [
     "MemoryCeilingError",
     "MissingFileError",
     "PathEscapeError",
+    "PointerError",
     "ProofError",
     "PublishConflictError",
     "SmallerExportError",
     "StageError",
     "StoreError",
     "TransientIOError",
+    "TruncatedError",
     "UsageError",
-    "WorkerError",
+    "shown_path",
 ]
+
+
+def shown_path(path: str | Path) -> str:
+    r"""Return a path as text that can be printed and stored: a byte of a name that is not UTF-8 becomes ``\xff``."""
+    try:
+        return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # not a name that an operating system gave
+        return str(path).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 class CondVLNError(Exception):
@@ -109,7 +118,11 @@ class InputError(CondVLNError):
 
 
 class FormatError(InputError):
-    """A file is malformed, truncated, hostile or of the wrong type."""
+    """A file is malformed, hostile or of the wrong type."""
+
+
+class TruncatedError(FormatError):
+    """A file ends early."""
 
 
 class LimitError(InputError):
@@ -118,6 +131,10 @@ class LimitError(InputError):
 
 class MissingFileError(InputError):
     """A file that the format requires is not there."""
+
+
+class PointerError(MissingFileError):
+    """A pointer of Git LFS or git-annex is in the place of a file that was not downloaded."""
 
 
 class PathEscapeError(InputError):
@@ -147,15 +164,10 @@ class TransientIOError(CondVLNError):
 
 
 class ClusterError(CondVLNError):
-    """Ray, or the process that starts workers, died or can't be reached any more, or a process of a proof was killed.
+    """Ray can't be started or reached, died, or has a node that does not see the data.
+
     What was committed stays, and the next run goes on from it.
     """
-
-
-class WorkerError(CondVLNError):
-    """A worker process of this machine died. Its unit is tried again, alone; after several deaths it is quarantined."""
-
-    exit_code = 3
 
 
 class StageError(CondVLNError):

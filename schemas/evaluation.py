@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from schemas.base import Finite, Vec3, VersionedDocument
 from schemas.episode import Composition, EpisodeLeaf, Evidence, Observability
@@ -14,10 +14,10 @@ __all__ = ["ManifestEpisode"]
 class ManifestEpisode(VersionedDocument):
     """One row of ``manifest/<split>.jsonl``."""
 
-    episode_id: int | str = Field(description="an integer below 2^53; in exports of former releases the episode's hash")
-    episode_hash: str = Field(
-        "", description="hash of scene, instruction and start pose; empty where this hash is the episode id"
-    )
+    episode_id: int = Field(strict=True)
+    """an integer below 2^53, made from `episode_hash`"""
+    episode_hash: str
+    """hash of scene, instruction and start pose"""
     instruction_id: str
     group_id: str | None = None
     source: str
@@ -31,7 +31,8 @@ class ManifestEpisode(VersionedDocument):
     evidence_in_view: bool | None = None
     observability_approximate: bool | None = None
     evidence: tuple[Evidence, ...] | None = None
-    moves: int = Field(description="number of moves of the gold leaf")
+    moves: int
+    """number of moves of the gold leaf"""
     words: int
     instruction_text: str
     program: Program
@@ -43,12 +44,16 @@ class ManifestEpisode(VersionedDocument):
     max_steps: int
     geodesic_distance: Finite
     route_length: Finite
-    navmesh: str = Field(description="path of the navmesh, as the export or the source ships it")
+    looking_path: tuple[Vec3, ...] | None = None
+    """corners of the looking path, the shortest walk found that sees the evidence of each condition before it acts on
+    it; null, as all fields of the looking path, where the format has no headings"""
+    looking_length: Finite | None = None
+    """length of the looking path, metres"""
+    looking_actions: tuple[int, ...] | None = None
+    """actions of the walk along the looking path: 0 STOP, 1 forward 0.25 m, 2 left 15°, 3 right 15°"""
+    looking_decided: tuple[int, ...] | None = None
+    """for each condition on the gold route, in order of evaluation, the number of actions after which it is decided"""
+    navmesh: str
+    """path of the navmesh, as the export or the source ships it"""
     navmesh_sha256: str
     snapshot: str
-
-    @model_validator(mode="after")
-    def _with_hash(self) -> ManifestEpisode:
-        if not self.episode_hash:
-            self.episode_hash = str(self.episode_id)
-        return self

@@ -7,9 +7,9 @@ point at each other by index, leaves in reading order. ``Program.walk`` gives th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from schemas.base import Frozen
 
@@ -112,15 +112,6 @@ class Qualifier(Frozen):
     predicate: Predicate
     anchors: tuple[Anchor, ...] = ()
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_anchor_of_before(cls, value: Any) -> Any:
-        # Rows written before a qualifier could have two anchors hold the one as two fields.
-        if isinstance(value, dict) and "anchor_id" in value and "anchors" not in value:
-            rest = {k: v for k, v in value.items() if k not in ("anchor_id", "anchor_label")}
-            return {**rest, "anchors": [{"object_id": value["anchor_id"], "label": value.get("anchor_label")}]}
-        return value
-
     @model_validator(mode="after")
     def _has_its_anchors(self) -> Qualifier:
         wanted = anchors_of(self.predicate)
@@ -176,12 +167,6 @@ class Condition(Frozen):
     definite: bool = False
     truth: bool
     witnesses: tuple[str, ...] = ()
-
-    @field_validator("definite", mode="before")
-    @classmethod
-    def _unknown_is_indefinite(cls, value: Any) -> Any:
-        # Tables and manifests of before the field was there hold none.
-        return False if value is None else value
 
     @model_validator(mode="after")
     def _witnessed(self) -> Condition:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -11,6 +11,7 @@ from schemas.base import Document, Finite, VersionedDocument
 from schemas.unit import Hash32, Hash64
 
 __all__ = [
+    "STORE_VERSION",
     "PartRecord",
     "PartitionRecord",
     "Pin",
@@ -24,6 +25,10 @@ __all__ = [
     "StageTotals",
     "TableManifest",
 ]
+
+STORE_VERSION: Final = 2
+"""Version of the layout of stores. Version 1, which releases before 1.0 wrote, had frames of Arrow in place of Parquet
+files of units, and its refs say no version."""
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -80,7 +85,7 @@ class PinnedTable(Document):
     units: Count
     """Number of units that the table was built from."""
     parameters: str = ""
-    """SHA-256 of the parameters as canonical JSON; empty in pins of earlier releases."""
+    """SHA-256 of the parameters as canonical JSON."""
     generation: Count = 0
     """Number of times that the table was pinned. Of two pins, the one with the larger number is valid."""
 
@@ -108,12 +113,12 @@ class SnapshotManifest(VersionedDocument):
     """Units per status: ok, skipped, quarantined."""
     aggregates: dict[str, Hash32]
     shared: dict[str, SharedRecord] = Field(default_factory=dict)
-    """The shared tables behind ``aggregates``, by name; empty in manifests of earlier releases."""
+    """The shared tables behind ``aggregates``, by name."""
     stages: dict[str, StageTotals]
     provenance: dict[str, str]
     """Git revision and versions of libraries. They are recorded, but are not part of any key."""
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
+    """SHA-256 of the rest as canonical JSON; None until the document is written."""
 
     def files(self) -> Iterator[PartRecord | SharedRecord]:
         """Return every file of the snapshot except this manifest; paths are relative to the snapshot's folder."""
@@ -138,15 +143,12 @@ class Ref(Published, VersionedDocument):
     """``refs/<name>.json``, the only mutable file. Replacing it publishes a snapshot."""
 
     name: str
+    store_version: Literal[2]
+    """Version of the layout of the store. A store of another version is refused."""
     history: list[Published] = Field(default_factory=list)
     """Earlier states, one per snapshot, the newest first. Old ones are dropped."""
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
-
-    @property
-    def previous(self) -> str | None:
-        """Return the id of the snapshot that was published before the current one; None if there was none."""
-        return self.history[0].snapshot_id if self.history else None
+    """SHA-256 of the rest as canonical JSON; None until the document is written."""
 
 
 class RunFailure(Document):
@@ -189,4 +191,4 @@ class Pin(VersionedDocument):
 
     tables: dict[str, PinnedTable]
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
+    """SHA-256 of the rest as canonical JSON; None until the document is written."""

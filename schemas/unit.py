@@ -11,7 +11,7 @@ from pydantic import Field
 
 from schemas.base import Document, Finite, VersionedDocument
 
-__all__ = ["Cause", "KeyParts", "QuarantineRecord", "ShardRecord", "TableRecord", "UnitCommit"]
+__all__ = ["Cause", "FileRecord", "KeyParts", "QuarantineRecord", "TableRecord", "UnitCommit"]
 
 Hash32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 """128 bits as hexadecimal digits: keys and logical hashes."""
@@ -35,17 +35,15 @@ class KeyParts(Document):
     dependencies: Hash32
 
 
-class ShardRecord(Document):
+class FileRecord(Document):
     """One file of a unit."""
 
     sha256: Hash64
     bytes: Annotated[int, Field(ge=0)]
 
 
-class TableRecord(ShardRecord):
-    """One table of a unit: the hash of its bytes in the shard (in commits of earlier releases, of its own file), and a
-    hash of its rows that does not depend on the encoding.
-    """
+class TableRecord(FileRecord):
+    """One table of a unit, ``<table>.parquet``, and a hash of its rows that does not depend on the encoding."""
 
     logical_hash: Hash32
     rows: Annotated[int, Field(ge=0)]
@@ -65,20 +63,18 @@ class UnitCommit(VersionedDocument):
     outcome: Literal["ok", "skipped"]
     reason: str = ""
     tables: dict[FileName, TableRecord]
-    shard: ShardRecord | None = None
-    """The file that holds all tables; None in commits of earlier releases, which have a Parquet file for each."""
-    files: dict[FileName, ShardRecord]
+    files: dict[FileName, FileRecord]
     measures: dict[str, Finite]
     seconds: Annotated[float, Field(ge=0)]
     """Wall-clock seconds."""
     cpu_seconds: Annotated[float, Field(ge=0)] = 0.0
-    """CPU seconds of the process, from which the cost model learns; 0 in commits of earlier releases."""
+    """CPU seconds of the process, from which the cost model learns."""
     peak_rss: Annotated[int, Field(ge=0)]
     host: str
     libraries: dict[str, str]
     revision: str = ""
     checksum: Hash64 | None = None
-    """SHA-256 of the rest as canonical JSON; None in documents of earlier releases."""
+    """SHA-256 of the rest as canonical JSON; None until the document is written."""
 
 
 class QuarantineRecord(VersionedDocument):

@@ -66,3 +66,8 @@ def s3_server() -> Iterator[str]:
 def s3_bucket(s3_server: str) -> str:
     """Address of an empty store in the bucket, as a configuration names it."""
     return f"s3://bucket/{secrets.token_hex(6)}?endpoint={s3_server}"
+
+
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Name bytes by their length: those of a packed file can hold the time, and each worker collects at its own."""
+    return f"{argname} of {len(val)} bytes" if isinstance(val, bytes) else None

@@ -1,7 +1,8 @@
 """What Hypothesis draws: the same examples for everyone, or fresh ones that can be drawn again.
 
 ``--draws fixed`` (the default) depends on the test alone. ``--draws fresh`` picks a seed and prints it, ``--draws
-SEED`` draws those examples again. ``--rounds N`` runs each property test N times, with N seeds in a row.
+SEED`` draws those examples again. ``--rounds N`` runs each property test N times, with N seeds in a row; one that is
+marked ``rounds(M)`` M times.
 """
 
 from __future__ import annotations
@@ -89,6 +90,8 @@ def _description(config: pytest.Config) -> str:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     rounds = metafunc.config.option.rounds
     if rounds > 1 and getattr(metafunc.function, "is_hypothesis_test", False):
+        asked = metafunc.definition.get_closest_marker("rounds")
+        rounds = rounds if asked is None else asked.args[0]
         metafunc.fixturenames.append(ROUND)
         metafunc.parametrize(ROUND, range(rounds), indirect=True, ids=[f"round{k}" for k in range(rounds)])
 

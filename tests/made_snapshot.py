@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 
 from condvln.episodes.identity import numeric_id
-from condvln.export.densify import densify
 from condvln.export.tables import MemoryTables
+from condvln.navigation.points import densify
 from schemas.program import CATEGORIES, SHAPES, Category
 from schemas.tables import EPISODES, INSTRUCTIONS, SCENES
 
@@ -63,6 +63,7 @@ def made_rows(
             if rng.integers(2)
             else None,
             "truth": truth,
+            "definite": False,
             "witnesses": ["w"] if truth else [],
         }
         for truth in truths
@@ -104,7 +105,7 @@ def made_rows(
         "observability": (level := ("O0", "O1", "O2", None)[rng.integers(4)]),
         "evidence_in_view": level and level == "O0",
         "observability_approximate": level and True,
-        "evidence": level and [{"condition": 0, "observability": level, "in_view": level == "O0"}],
+        "evidence": level and [{"condition": 0, "observability": level, "in_view": level == "O0", "degrees": 5.0}],
         "gold_leaf": gold,
         "n_leaves": shape.leaves,
         "gold_label": leaves[gold]["moves"][-1]["label"],
@@ -119,6 +120,11 @@ def made_rows(
         "ground_truth_steps": 60,
         "actions": [2, *[1] * (len(walked) - 1), 3, 0] if number % 2 else None,
         "locations": [point(place) for place in walked] if number % 2 else None,
+        "looking_path": placed[gold]["reference_path"] if number % 2 else None,
+        "looking_length": placed[gold]["route_length"] if number % 2 else None,
+        "looking_actions": [2, *[1] * (len(walked) - 1), 3, 0] if number % 2 else None,
+        "looking_decided": [1] if number % 2 else None,
+        "looking_locations": [point(place) for place in walked] if number % 2 else None,
         "words": len(text.split()),
         "max_steps": 300,
         "instruction_text": text,

@@ -21,14 +21,10 @@ REASONS = (
     # A browser, which is installed by make browser.
     r"make browser runs the tests of the page",
     # The machine.
-    r"the golden hashes were made on ",
     r"needs \d+ GiB of free memory",
     r"only Linux gives the name of an open file",
-    r"root may write anywhere",
     r"no /dev/full here",
     r"the system does not say how much memory a process holds",
-    # One case of a product of parameters that does not exist.
-    r"a rule of English",
     # A run within a run.
     r"the outer run does this",
     r"this is that run",

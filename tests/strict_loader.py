@@ -2,7 +2,8 @@
 few a KeyError.
 
 Written from the published behaviour of ``VLNCEDatasetV1.from_json``, ``VLNDatasetV1.from_json`` and
-``ANSRDatasetV1``: each record is ``Class(**record)`` of an attrs class.
+``ANSRDatasetV1``: each record is ``Class(**record)`` of an attrs class. ``RxRVLNCEDatasetV1`` takes ids as they are;
+the others make texts of them.
 """
 
 from __future__ import annotations
@@ -64,14 +65,19 @@ def read(path: Path) -> Any:
 
 
 def load_split(path: Path, kind: type[Episode] = Episode, instruction: type = Instruction) -> list[Episode]:
-    """Load one split as a strict loader does, asserting all that it needs."""
+    """Load one split as a strict loader does, asserting all that it needs.
+
+    Ids are texts then: a list of allowed ids, the keys of the ground truth and of predictions are.
+    """
     document = read(path)
     vocabulary = document["instruction_vocab"]["word_list"] if instruction is Instruction else None
     loaded = []
     for record in document["episodes"]:
-        record["episode_id"] = str(record["episode_id"])
-        record["trajectory_id"] = str(record["trajectory_id"])
+        if instruction is not RxRInstruction:
+            record["episode_id"] = str(record["episode_id"])
+            record["trajectory_id"] = str(record["trajectory_id"])
         episode = kind(**record)
+        assert type(episode.episode_id) is type(episode.trajectory_id) is str
         for name in ("scene_id", "start_position", "start_rotation", "instruction", "reference_path"):
             assert getattr(episode, name) is not None
         episode.scene_id = "data/scene_datasets/" + episode.scene_id.removeprefix("data/scene_datasets/")

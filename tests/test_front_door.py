@@ -22,7 +22,7 @@ from jobs.generate import run_generate
 from jobs.workspace import published
 from schemas.config import Config, InstructionsConfig, SourceConfig, TextConfig
 
-LOADED_LATER = ("ray", "numba", "pyarrow", "trimesh", "scipy", "pydantic", "networkx", "matplotlib")
+LOADED_LATER = ("gymnasium", "ray", "numba", "pyarrow", "trimesh", "scipy", "pydantic", "networkx", "matplotlib")
 
 
 def blocks(text: str) -> list[str]:
@@ -31,8 +31,6 @@ def blocks(text: str) -> list[str]:
 
 def example(repository: Path, name: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, repository / "examples" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # Ray pickles functions by their module
     spec.loader.exec_module(module)
@@ -42,6 +40,28 @@ def example(repository: Path, name: str) -> ModuleType:
 def test_importing_loads_nothing_heavy() -> None:
     code = f"import sys, condvln; print([m for m in {LOADED_LATER!r} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("imports", "name"),
+    [
+        ("import gymnasium, condvln", "condvln/VLN-v0"),
+        ("import gymnasium", "condvln:condvln/VLN-v0"),
+        ("import condvln, gymnasium", "condvln.evaluation.environment:condvln/VLN-v0"),
+        ("import gymnasium", "condvln.evaluation.environment:condvln/VLN-v0"),
+        ("import condvln.evaluation.environment, gymnasium", "condvln/VLN-v0"),
+    ],
+)
+def test_gymnasium_finds_the_environment(imports: str, name: str) -> None:
+    """Each in a process of its own. The export is missing, which the environment says once it is made."""
+    code = f"""{imports}
+try:
+    gymnasium.make({name!r}, export="nowhere", split="val_unseen")
+except Exception as error:
+    print(type(error).__module__, type(error).__name__)
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert found == "schemas.errors MissingFileError\n"
 
 
 def test_every_name_is_there_and_sorted() -> None:
@@ -137,6 +157,21 @@ def test_files_that_the_docs_name_exist(repository: Path, page: str) -> None:
     named = re.findall(r"`((?:condvln|factory|jobs|schemas|docs|deploy|tests)/[\w/.-]*)`", text)
     assert len(named) > 15
     assert [place for place in named if not (repository / place).exists()] == []
+
+
+def test_the_architecture_page_is_short_ways(repository: Path) -> None:
+    """The way of a scene has at most 15 files, and each of the five questions that everyone asks at most five."""
+    text = (repository / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+    def files(part: str) -> set[str]:
+        return set(re.findall(r"[\w/.-]+\.(?:py|yaml|md)\b", part))
+
+    (way,) = re.findall(r"## The way of one scene\n(.*?)\n## ", text, re.DOTALL)
+    assert 8 <= len(files(way)) <= 15
+    (first,) = re.findall(r"Five questions.*?\n((?:\|[^\n]*\n)+)", text, re.DOTALL)
+    questions = first.splitlines()[2:]
+    assert len(questions) == 5
+    assert all(2 <= len(files(line)) <= 5 for line in questions)
 
 
 def test_the_glossary_is_sorted(repository: Path) -> None:

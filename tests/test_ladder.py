@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -69,26 +68,6 @@ def test_a_run_that_was_stopped_goes_on_wherever_it_was_cut(walks: list[tuple[st
         assert sorted(path.read_bytes().splitlines()) == sorted(data.splitlines())
 
 
-@pytest.mark.parametrize("change", ["count", "agents", "none"])
-def test_results_of_other_settings_are_refused(
-    walks: list[tuple[str, int]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
-) -> None:
-    ladder.walked_all(JOBS)
-    path = tmp_path / "rows.jsonl"
-    if change == "count":
-        monkeypatch.setattr(ladder, "PER_CATEGORY", ladder.PER_CATEGORY + 1)
-    elif change == "agents":
-        monkeypatch.setattr(ladder, "LEVELS", (0.0, 0.5))
-    else:
-        path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
-    before = path.read_bytes()
-    walks.clear()
-    with pytest.raises(SystemExit, match=r"rows\.jsonl"):
-        ladder.walked_all(JOBS)
-    assert walks == []
-    assert path.read_bytes() == before
-
-
 def test_tables_of_the_first_scenes_are_printed_without_walking(
     walks: list[tuple[str, int]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -120,10 +99,3 @@ def test_long_benchmarks_run_by_name_only() -> None:
     assert done.returncode == 1
     assert "no benchmark nothing" in done.stderr
     assert "evidence" in done.stderr
-
-
-def test_the_header_names_what_results_depend_on(walks: list[tuple[str, int]], tmp_path: Path) -> None:
-    ladder.walked_all(JOBS)
-    header = json.loads((tmp_path / "rows.jsonl").read_text(encoding="utf-8").splitlines()[0])
-    assert header["episodes of a category"] == ladder.PER_CATEGORY
-    assert header["agents"] == [*ladder.agents()]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
+import pkgutil
 import re
 import shlex
 import shutil
@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -22,21 +21,12 @@ from typer.testing import CliRunner
 import condvln
 from condvln.samples import make_samples
 from jobs.command import app
+from tests.site_parts import part
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NOT_RUN = ("submit",)
 """Verbs that need a cluster; ``tests/jobs/test_submit.py`` has a job server."""
-
-
-def part(name: str) -> ModuleType:
-    """A module of ``docs/site``."""
-    spec = importlib.util.spec_from_file_location(f"site_{name}", REPOSITORY / "docs" / "site" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 PAGES = part("pages")
@@ -91,6 +81,14 @@ def test_every_name_of_the_front_door_has_its_place_on_the_api_pages() -> None:
     named = re.findall(r"^::: condvln\.(\w+)$", "\n".join(pages), re.MULTILINE)
     assert sorted([*named, "CondVLNError"]) == condvln.__all__, "errors have one page, for the whole tree"
     assert {*re.findall(r"`(\w+)`", text_of("docs/api/index.md"))} >= {*condvln.__all__}
+
+
+def test_every_name_of_the_api_pages_is_there() -> None:
+    pages = [text_of(name) for name in documents() if name.startswith("docs/api/")]
+    named = re.findall(r"^::: (\S+)$", "\n".join(pages), re.MULTILINE)
+    assert len(named) > 20
+    for name in named:
+        assert pkgutil.resolve_name(name) is not None
 
 
 def test_the_figure_is_that_of_the_pipeline() -> None:
@@ -212,7 +210,7 @@ def test_command_lines_of_the_guides_run(workplace: Path, monkeypatch: pytest.Mo
     for name in RUN_IN_ORDER:
         for words in commands(name):
             words = [PLACES.get(word, word) for word in words]
-            words = [word.replace("=/data/replica_cad", f"={workplace}/data/mine") for word in words]
+            words = [re.sub("=(/data/replica_cad|ROOT)$", f"={workplace}/data/mine", word) for word in words]
             if words[0] in NOT_RUN or "SELECT …" in words:
                 continue
             if not split and (workplace / "out/mine/export/manifest").is_dir():
@@ -225,7 +223,7 @@ def test_command_lines_of_the_guides_run(workplace: Path, monkeypatch: pytest.Mo
             result = CliRunner().invoke(app, words)
             assert result.exit_code == 0, (name, words, result.output)
             ran.add(words[0])
-    assert ran >= {"sources", "plan", "generate", "verify", "show", "walk", "evaluate", "query", "rebuild", "compose"}
+    assert ran >= {"sources", "plan", "generate", "verify", "show", "walk", "evaluate", "query", "export"}
 
 
 # ---- the site itself

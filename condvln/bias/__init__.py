@@ -2,7 +2,7 @@
 
 from condvln.bias.foreign_gate import ForeignReport, judge_files
 from condvln.bias.gate import BiasGate, judge, judge_export
-from condvln.bias.learners import usual_truths
+from condvln.bias.guessers import usual_truths
 from condvln.bias.report import BiasReport, Finding, Uniformity
 
 __all__ = [

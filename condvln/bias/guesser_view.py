@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import isfinite
 from typing import Any, NamedTuple
 
-from condvln.scene.layouts import layout_of
+from condvln.scene.scene import layout_of
 from schemas.errors import FormatError
 from schemas.program import SHAPES, Category
 
@@ -71,7 +71,7 @@ class GuesserView(NamedTuple):
         try:
             program = row["program"]
             view = cls(
-                episode_hash=str(row.get("episode_hash") or row["episode_id"]),
+                episode_hash=row["episode_hash"],
                 source=row["source"],
                 scene=f"{row['source']}/{row['scene_id']}",
                 layout=layout_of(row["scene_id"]),
@@ -99,10 +99,8 @@ def _asked(condition: Mapping[str, Any]) -> Asked:
     predicate = anchor = ""
     if qualifier:
         predicate = qualifier["predicate"]
-        # Rows written before a qualifier could have two anchors hold the single anchor's label directly.
-        old = "anchor_label" in qualifier
-        anchor = qualifier["anchor_label"] if old else " + ".join([a["label"] for a in qualifier["anchors"]])
-    definite = bool(condition.get("definite", False))
+        anchor = " + ".join([a["label"] for a in qualifier["anchors"]])
+    definite = bool(condition["definite"])
     return Asked(condition["label"], condition["room"]["label"], predicate, anchor, bool(condition["truth"]), definite)
 
 

@@ -3,31 +3,66 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import pyarrow as pa
 
 from condvln.instructions.cell_drawing import CellDrawing, Seen
-from condvln.instructions.counterfactuals import group_id
-from condvln.instructions.programs import ProgramParts, instruction_id
-from condvln.instructions.sampling import Outline, ProgramSampler
+from condvln.instructions.programs import instruction_id
+from condvln.instructions.sampling import ProgramSampler, group_id
 from schemas.config import InstructionCell
 from schemas.config.constants import GROUP_SIZE
 from schemas.program import CATEGORIES, SHAPES, Category, Program
 
 __all__ = [
+    "DRAWING",
+    "PLACING",
+    "REASONS",
     "UNPLACED",
     "Candidate",
     "CandidateSupply",
-    "Draft",
     "cell_name",
     "draw_candidates",
     "unplaced_programs",
     "unplaced_table",
 ]
+
+
+DRAWING: Final = "programs"
+PLACING: Final = "episodes"
+"""What rejects, in the column ``stage`` of the rejections table: draws of programs that fail, and candidates that can't
+be placed.
+"""
+
+REASONS: Final[dict[str, str]] = {
+    "no_heading": "no start in the room has objects to the left, right, front and back as the text states",
+    "object_without_goal_point": "no navigable point of the main floor near the object shows it recognisably",
+    "leaves_too_close": "two leaves' goals are less than 2τ + the leaf gap apart",
+    "moves_too_close": "two stops of one leaf lie less than 2τ apart",
+    "no_start_in_range": "no start has every leaf within the distance range and every stop outside 2τ",
+    "unreachable": "no path between two consecutive stops",
+    "detour": "no start in range has every leaf's route within detour_factor times its distance, plus detour_slack",
+    "path_enters_other_leaf": "on the way to one leaf the path enters another leaf's τ ball",
+    "path_through_furniture": "a path on the navmesh crosses an object that stands on the floor",
+    "over_step_budget": "twice the ground-truth actions exceed the step ceiling",
+    "follower_stuck": "the ground-truth follower does not reach a goal with discrete actions",
+    "looking_unseen": "no walk was found that sees the evidence of all conditions on the way to some leaf in time",
+    "looking_detour": "the looking path to some leaf is longer than looking_detour allows for its direct route",
+    "looking_budget": "one and a half times the actions of the looking walk to some leaf exceed the step budget",
+    "observability_missed": "no start has the observability that the cell asks for",
+    "route_missed": "no start has routes to all leaves of the length that the cell asks for",
+    "program_placed": "the same program is already placed",
+    "label_over_cap": "a target's label already has its share of the scene's leaves",
+    "quota_full": "the cell already has all its episodes",
+    "gold_leaf_full": "the cell already has its share of episodes with this gold leaf",
+    "id_collision": "another episode with a smaller hash has the same integer id",
+    "no_navmesh": "the scene has no navmesh to place episodes on",
+    "no_start": "no navigable start on an island wide enough",
+}
+"""All reasons for which placing rejects a candidate, as counted in the rejections table."""
+
 
 GROUPS: Final = "counterfactual groups"
 """Cell name of the candidates in counterfactual groups."""
@@ -64,24 +99,6 @@ class Candidate:
         """Index of the gold leaf."""
         return self.program.gold_leaf()
 
-    def made(self) -> Candidate:
-        """Return the candidate itself."""
-        return self
-
-
-class Draft:
-    """A candidate of a cell that is known by its outline, since many candidates are never tried. It has the attributes
-    of ``Candidate``, without the program and its id.
-    """
-
-    def __init__(self, outline: Outline, cell: InstructionCell, make: Callable[[Program], Candidate]) -> None:
-        self.cell, self.moves, self.labels, self.gold = cell, outline.moves, outline.labels, outline.gold
-        self._outline, self._make = outline, make
-
-    def made(self) -> Candidate:
-        """Return the candidate with its program."""
-        return self._make(self._outline.program())
-
 
 def cell_name(cell: InstructionCell | None) -> str:
     """Return the name of a cell in the tables; None gives the name for counterfactual groups."""
@@ -111,18 +128,17 @@ class CandidateSupply:
 
     def __init__(self, sampler: ProgramSampler) -> None:
         self._sampler = sampler
-        self._parts = ProgramParts()
         self._groups = sampler.groups()
-        self._seen: dict[Category, Seen] = {}
+        self._seen: defaultdict[Category, Seen] = defaultdict(Seen)
         self._drawings: dict[InstructionCell, CellDrawing | None] = {}
-        self.labels = len(sampler.stop_sampler.labels)
+        self.labels = len(sampler.stop_sampler.weights)
         leaves = [SHAPES[category].leaves for category in CATEGORIES if sampler.wanted.cells_of(category)]
         self.group_leaves = GROUP_SIZE * sum(leaves) / max(1, len(leaves))
 
     def candidate(self, program: Program, cell: InstructionCell | None, group: str | None = None) -> Candidate:
         """Return a candidate of the scene."""
         scene = self._sampler.scene
-        return Candidate(instruction_id(scene.family, scene.scene_id, program, self._parts), program, cell, group)
+        return Candidate(instruction_id(scene.family, scene.scene_id, program), program, cell, group)
 
     def group(self) -> list[Candidate]:
         """Return the next counterfactual group; empty if there are no more."""
@@ -134,22 +150,19 @@ class CandidateSupply:
 
     def more(
         self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
-    ) -> list[Draft]:
+    ) -> list[Candidate]:
         """Return the next `count` candidates of a cell, fewer if the cell is exhausted.
 
         golds : their gold leaves, which are dealt in a random order, and again if there are fewer than `count`
         moves : shares of their leaves with 1, 2, … moves; None for the shares of the configuration
         """
         if cell not in self._drawings:
-            if cell.category not in self._seen:
-                self._seen[cell.category] = self._sampler.nothing_seen(cell.category)
             self._drawings[cell] = self._sampler.drawing(cell, self._seen[cell.category])
         drawing = self._drawings[cell]
         if drawing is None:
             return []
         drawing.aim(golds, moves or self._sampler.sampling.drawn_move_shares(cell.category))
-        outlines = self._sampler.outlines(cell, drawing, count)
-        return [Draft(outline, cell, partial(self.candidate, cell=cell)) for outline in outlines]
+        return [self.candidate(program, cell) for program in self._sampler.programs(cell, drawing, count)]
 
 
 def unplaced_programs(candidates: Iterable[Candidate]) -> list[str]:

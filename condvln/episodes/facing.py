@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from condvln.instructions.referents import things_meant
 from condvln.labels import Vocabulary, vocabulary
-from condvln.relations.bearing import Sighting, bearing_status, sighted
+from condvln.relations.directions import Sighting, bearing_status, sighted
 from condvln.scene import Scene
-from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from schemas.config import Thresholds
 from schemas.config.constants import SINK
 from schemas.program import Program

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Container, Sequence
 from typing import Final
 from weakref import WeakKeyDictionary
 
@@ -13,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
-from condvln.episodes.footprint import Footprint, footprint_of
-from condvln.episodes.kernels.spread import farthest_points
+from condvln.episodes.footprint import Footprint
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.navigation.sight import View, eyes_at
+from condvln.navigation.sight import Recognition, eyes_at
 from condvln.scene import Room, Scene, SceneObject, round_mm
 from schemas.config import GoalsConfig, PlacesConfig
 from schemas.config.constants import (
@@ -26,7 +23,6 @@ from schemas.config.constants import (
     FLOOR_STANDING,
     FURNITURE_DETOUR,
     HANG,
-    LOW_EYE,
     RING_GAP,
     RING_SPACING,
     SINK,
@@ -37,19 +33,17 @@ from schemas.config.constants import (
 __all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "wide_islands"]
 
 F64 = NDArray[np.float64]
+Sight = tuple[SceneView, Recognition]
 
-TRIED_AT_ONCE: Final = 100_000
-"""Places on rings around objects that are tried together; each island is asked for each of them."""
+
+THIN: Final = 0.05
+"""Thickness in metres up to which the edges of a thing show little of it."""
+
+EDGE_ON: Final = 0.01
+"""Metres from the plane of a large face of a thin thing within which nobody stops to look at it."""
 
 _WIDE: Final[WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[int, ...]]]] = WeakKeyDictionary()
 """Wide islands of each pathfinder in use, by the least radius."""
-
-_BLOCKED: Final[
-    WeakKeyDictionary[
-        Scene, WeakKeyDictionary[PathfinderProtocol, dict[float, tuple[tuple[SceneObject, Footprint], ...]]]
-    ]
-] = WeakKeyDictionary()
-"""What `blocked_footprints` found in each scene in use, by pathfinder and climb: three stages ask the same."""
 
 
 def wide_islands(pathfinder: PathfinderProtocol, places: PlacesConfig) -> tuple[int, ...]:
@@ -88,16 +82,6 @@ def blocked_footprints(
     the navmesh takes into account leaves a hole there (or is walkable on top). Flat objects that an agent
     steps over do not count.
     """
-    known = _BLOCKED.setdefault(scene, WeakKeyDictionary()).setdefault(pathfinder, {})
-    found = known.get(max_climb)
-    if found is None:
-        found = known[max_climb] = _blocked(scene, pathfinder, max_climb)
-    return list(found)
-
-
-def _blocked(
-    scene: Scene, pathfinder: PathfinderProtocol, max_climb: float
-) -> tuple[tuple[SceneObject, Footprint], ...]:
     low = list[tuple[SceneObject, Footprint]]()
     bottoms, unsure = list[float](), list[bool]()
     for item in scene.objects:
@@ -109,13 +93,13 @@ def _blocked(
         base = max(room.floor_y, bottom) if storeyless else room.floor_y
         if bottom - base >= FLOOR_STANDING or top - base <= max_climb:
             continue
-        box = footprint_of(scene, item)
+        box = Footprint.of(item)
         if box is not None:
             low.append((item, box))
             bottoms.append(bottom)
             unsure.append(storeyless)
     if not low:
-        return ()
+        return []
     height = np.array(bottoms)
     below = np.insert(np.array([box.center for _, box in low]), 1, height, axis=1)
     snapped = pathfinder.snap_points(below)
@@ -128,7 +112,7 @@ def _blocked(
         feet[:, 1] = height[asked]
         floor = pathfinder.snap_points(feet)
         blocked[asked] = np.isfinite(floor).all(axis=1) & (height[asked] - floor[:, 1] < FLOOR_STANDING)
-    return tuple(low[k] for k in np.flatnonzero(blocked))
+    return [low[k] for k in np.flatnonzero(blocked)]
 
 
 def scene_goals(
@@ -137,21 +121,22 @@ def scene_goals(
     places: PlacesConfig,
     rules: GoalsConfig,
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
-    view: SceneView | None = None,
+    sight: Sight | None = None,
     named: Container[str] | None = None,
 ) -> dict[str, F64]:
     """Return the goal points (k, 3) of every object that has any, by object id, sorted by id.
 
+    sight : the scene's lines of sight, and when an agent at a goal point recognises the object; None tests neither
     named : ids of the objects to which episodes may lead; None means all
     """
-    around = {}
+    found = {}
     for object_id, item in sorted(scene.object_of.items()):
         room = scene.room_of.get(item.room_id)
         if room is not None and (named is None or object_id in named):
-            around[object_id] = _Around.of(item, room, footprint_of(scene, item))
-    batches = _batches(list(around.values()), rules)
-    found = [x for batch in batches for x in _goal_points(batch, pathfinder, places, rules, obstacles, view)]
-    return {object_id: points for object_id, points in zip(around, found, strict=True) if len(points)}
+            points = goal_points(item, room, pathfinder, places, rules, obstacles, sight)
+            if len(points):
+                found[object_id] = points
+    return found
 
 
 def goal_points(
@@ -161,84 +146,39 @@ def goal_points(
     places: PlacesConfig,
     rules: GoalsConfig,
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
-    view: SceneView | None = None,
+    sight: Sight | None = None,
 ) -> F64:
     """Return at most ``rules.points`` navigable points (k, 3) around `item`, sorted by distance to its box; empty if no
     point is suitable.
 
-    With a `view`, part of the object is visible from each point, to the camera or to a lower eye that can look under a
-    table. All points lie on the same side of any wall: their geodesic distance to the point nearest to the box is at
-    most half the box's perimeter plus WALL_DETOUR, or plus FURNITURE_DETOUR where walls limit what is visible.
+    With `sight`, a level camera recognises the object from each point, so that a walk ends with it in view. All points
+    lie on the same side of any wall: their geodesic distance to the point nearest to the box is at most half the box's
+    perimeter plus WALL_DETOUR, or plus FURNITURE_DETOUR where walls limit what is visible.
     """
-    return _goal_points([_Around.of(item, room, Footprint.of(item))], pathfinder, places, rules, obstacles, view)[0]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Around:
-    """An object around which goal points are sought, and its room; `bottom` is its lowest height in metres."""
-
-    item: SceneObject
-    room: Room
-    box: Footprint
-    bottom: float
-
-    @classmethod
-    def of(cls, item: SceneObject, room: Room, box: Footprint | None) -> _Around:
-        if box is None:
-            box = Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
-        bottom = float(item.aabb[0][1]) if item.aabb is not None else float(item.center[1])
-        return cls(item, room, box, bottom)
-
-    @property
-    def height(self) -> float:
-        """Height in metres at which the floor is sought: without a room to give the storey, that is the floor nearest
-        to the object's own bottom.
-        """
-        return self.bottom if self.room.annotation == "scene" else self.room.floor_y
-
-
-def _batches(around: Sequence[_Around], rules: GoalsConfig) -> Iterator[list[_Around]]:
-    """Yield the objects in batches of about `TRIED_AT_ONCE` places on rings, so that large objects with a long reach
-    do not fill the memory.
-    """
-    batch, tried = list[_Around](), 0.0
-    for one in around:
-        rings = max((near_rings(rules), far_rings(rules)), key=sum)
-        extent = sum(4.0 * float(box.half.sum()) for box in one.box.parts or (one.box,))
-        batch.append(one)
-        tried += sum(extent + 2 * math.pi * radius for radius in rings) / RING_SPACING
-        if tried > TRIED_AT_ONCE:
-            yield batch
-            batch, tried = [], 0.0
-    if batch:
-        yield batch
-
-
-def _goal_points(
-    around: Sequence[_Around],
-    pathfinder: Pathfinder,
-    places: PlacesConfig,
-    rules: GoalsConfig,
-    obstacles: Sequence[tuple[SceneObject, Footprint]],
-    view: SceneView | None,
-) -> list[F64]:
-    """Return the goal points of each of several objects; see `goal_points`."""
-    detour = FURNITURE_DETOUR if view is not None and view.walls_known else WALL_DETOUR
-    chosen = [np.empty((0, 3))] * len(around)
-    left = list(range(len(around)))
+    box = Footprint.of(item) or Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
+    detour = FURNITURE_DETOUR if sight is not None and sight[0].walls_known else WALL_DETOUR
     for offsets, reach in ((near_rings(rules), rules.reach), (far_rings(rules), rules.reach_at_most)):
-        asked = [around[k] for k in left]
-        found = _standing_places(asked, offsets, reach, pathfinder, places, obstacles)
-        if view is not None:
-            masks = _seeing(found, asked, view, places)
-            found = [points[mask] for points, mask in zip(found, masks, strict=True)]
-        for k, seen in zip(left, found, strict=True):
-            one = around[k]
-            if len(seen):
-                ordered = seen[np.lexsort((seen[:, 2], seen[:, 0], one.box.distance(seen)))]
-                chosen[k] = _spread(ordered, one.box, rules.points, pathfinder, one.box.half_perimeter + detour)
-        left = [k for k in left if not len(chosen[k])]
-    return chosen
+        points = _standing_places(item, room, box, offsets, reach, pathfinder, places, obstacles)
+        if sight is not None:
+            view, recognition = sight
+            points = points[~_is_edge_on(points, box)]
+            points = points[view.recognised(eyes_at(points, places.eye_height), item.object_id, recognition)]
+        if len(points):
+            ordered = points[np.lexsort((points[:, 2], points[:, 0], box.distance(points)))]
+            return _spread(ordered, box, rules.points, pathfinder, box.half_perimeter + detour)
+    return np.empty((0, 3))
+
+
+def _is_edge_on(points: F64, box: Footprint) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the points in the plane of one of the two large upright faces of a thin thing, where rings
+    around it have places. Rounding alone would decide whether an agent sees that face, which may be all that there is
+    to see of a mirror.
+    """
+    thin = int(np.argmin(box.half))
+    if box.half[thin] > THIN / 2:
+        return np.zeros(len(points), dtype=bool)
+    off = np.abs((points[:, [0, 2]] - box.center) @ box.axes[thin])
+    return np.asarray(np.abs(off - box.half[thin]) < EDGE_ON)
 
 
 def near_rings(rules: GoalsConfig) -> tuple[float, ...]:
@@ -260,72 +200,58 @@ def far_rings(rules: GoalsConfig) -> tuple[float, ...]:
 
 
 def _standing_places(
-    around: Sequence[_Around],
+    item: SceneObject,
+    room: Room,
+    box: Footprint,
     offsets: Sequence[float],
     reach: float,
     pathfinder: Pathfinder,
     places: PlacesConfig,
     obstacles: Sequence[tuple[SceneObject, Footprint]],
-) -> list[F64]:
-    """Return for each object the places (n, 3) on rings around it at which an agent can stand, in ascending order.
+) -> F64:
+    """Return the places (n, 3) on rings around an object at which an agent can stand, in ascending order.
 
     offsets : radii of the rings; reach : greatest distance from the object's box; all in metres
     """
-    if not offsets or not around:
-        return [np.empty((0, 3))] * len(around)
-    flat = [np.concatenate([one.box.ring(offset, RING_SPACING) for offset in offsets]) for one in around]
-    owner = np.repeat(np.arange(len(around)), [len(ring) for ring in flat])
-    asked = np.insert(np.concatenate(flat), 1, np.array([one.height for one in around])[owner], axis=1)
+    if not offsets:
+        return np.empty((0, 3))
+    bottom = float(item.center[1] if item.aabb is None else item.aabb[0][1])
+    storeyless = room.annotation == "scene"
+    # Without a room to give the storey, the floor is sought that is nearest to the object's own bottom.
+    height = bottom if storeyless else room.floor_y
+    asked = np.insert(np.concatenate([box.ring(offset, RING_SPACING) for offset in offsets]), 1, height, axis=1)
     # Each island is asked separately, so that a walkable table top never hides the floor beneath it.
     islands = wide_islands(pathfinder, places)
-    tries, owner = np.concatenate([asked[:0], *[asked] * len(islands)]), np.tile(owner, len(islands))
+    tries = np.concatenate([asked[:0], *[asked] * len(islands)])
     snapped = np.concatenate([asked[:0], *(pathfinder.snap_points(asked, island) for island in islands)])
     good = np.isfinite(snapped).all(axis=1)
     good &= np.hypot(*(snapped - tries)[:, [0, 2]].T) <= SNAP_TOLERANCE
-    owner, points = _distinct(owner[good], round_mm(snapped[good]))
-    ends = np.searchsorted(owner, np.arange(len(around) + 1))
-    near = [one.box.distance(points[i:j]) <= reach for one, (i, j) in zip(around, pairwise(ends), strict=True)]
-    hang = np.array([one.bottom for one in around])[owner] - points[:, 1]
-    keep = (hang <= HANG) & (hang >= -SINK) & np.concatenate(near) & is_standable(pathfinder, points, places)
-    for room in {id(one.room): one.room for one in around}.values():
-        if room.annotation != "scene":
-            here = np.flatnonzero(np.array([one.room is room for one in around])[owner])
-            keep[here] &= np.abs(points[here, 1] - room.floor_y) <= SINK
-            if room.polygon is not None:
-                keep[here] &= contains_xy(Polygon(room.polygon), points[here, 0], points[here, 2])
-    owner, points = owner[keep], points[keep]
-    free = np.ones(len(points), dtype=bool)
+    points = np.unique(round_mm(snapped[good]), axis=0)
+    hang = bottom - points[:, 1]
+    keep = (hang <= HANG) & (hang >= -SINK) & (box.distance(points) <= reach)
+    keep &= is_standable(pathfinder, points, places)
+    if not storeyless:
+        keep &= np.abs(points[:, 1] - room.floor_y) <= SINK
+        if room.polygon is not None:
+            keep &= contains_xy(Polygon(room.polygon), points[:, 0], points[:, 2])
     for other, footprint in obstacles:
-        others = np.array([one.item.object_id != other.object_id for one in around])
-        close = np.flatnonzero(footprint.is_near(points) & others[owner])
-        free[close] &= footprint.distance(points[close]) > 0.0
-    ends = np.searchsorted(owner[free], np.arange(1, len(around)))
-    return np.split(points[free], ends)
+        if other.object_id != item.object_id:
+            keep &= footprint.distance(points) > 0.0
+    return np.asarray(points[keep], dtype=np.float64)
 
 
-def _distinct(owner: NDArray[np.intp], points: F64) -> tuple[NDArray[np.intp], F64]:
-    """Return the distinct ones of `points` (n, 3) of each of their owners (n,), in ascending order of both, as
-    ``np.unique`` does, but faster.
+def farthest_points(points: F64, count: int, excluded: NDArray[np.bool_], least: float) -> NDArray[np.int64]:
+    """Return the indices of up to `count` of the points (n, 3): the first one, then repeatedly the one farthest from
+    all before that is not `excluded` (n,), the earliest on ties, as long as it is at least `least` metres away.
     """
-    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], owner))
-    whose, ordered = owner[order], points[order]
-    fresh = np.ones(len(ordered), dtype=bool)
-    fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1) | (whose[1:] != whose[:-1])
-    return whose[fresh], np.asarray(ordered[fresh], dtype=np.float64)
-
-
-def _seeing(
-    found: Sequence[F64], around: Sequence[_Around], view: SceneView, places: PlacesConfig
-) -> list[NDArray[np.bool_]]:
-    """Return for each object a mask (n,) of its points (n, 3) in `found` from which some part of it is visible."""
-    seen = [np.zeros(len(points), dtype=bool) for points in found]
-    names, reach = [one.item.object_id for one in around], View(range=places.sight_range)
-    for height in (places.eye_height, LOW_EYE):
-        left = [np.flatnonzero(~mask) for mask in seen]
-        eyes = [eyes_at(points[rows], height) for points, rows in zip(found, left, strict=True)]
-        for mask, rows, more in zip(seen, left, view.glimpsed_each(eyes, names, reach), strict=True):
-            mask[rows] = more
-    return seen
+    gap, taken = np.where(excluded, -1.0, np.inf), [0]
+    while len(taken) < min(count, len(points)):
+        gap = np.minimum(gap, np.linalg.norm(points - points[taken[-1]], axis=1))
+        following = int(np.argmax(gap))
+        if gap[following] < least:
+            break
+        taken.append(following)
+    return np.array(taken, np.int64)
 
 
 def _spread(points: F64, box: Footprint, count: int, pathfinder: Pathfinder, limit: float) -> F64:

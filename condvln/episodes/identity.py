@@ -1,8 +1,7 @@
 """Identity of an episode: the hash of its content, and the integer id used in files and tables.
 
 Stock loaders call ``int()`` on an episode's id, and JSON readers keep integers exact only below 2^53. So the id is an
-integer derived from the hash, and rows hold both. Old rows, whose id was the hash itself, are still read:
-:func:`with_numbers`.
+integer derived from the hash, and rows hold both.
 """
 
 from __future__ import annotations
@@ -12,10 +11,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-__all__ = ["HASH", "ID", "ID_BITS", "colliding", "content_hash", "numeric_id", "with_numbers"]
+__all__ = ["ID_BITS", "colliding", "content_hash", "numeric_id"]
 
 HASH_DIGITS: Final = 16
 """Hex digits of an episode's hash: 64 bits; the odds of a collision in a million episodes are 1 in 10⁷."""
@@ -24,8 +22,6 @@ ID_BITS: Final = 52
 """Bits of an id. The odds that two of a million episodes get the same id are 1 in 10⁴; the larger hash is then
 rejected.
 """
-
-ID, HASH = "episode_id", "episode_hash"
 
 
 def content_hash(scene_id: str, instruction_id: str, start: NDArray[np.float64], yaw: float) -> str:
@@ -55,21 +51,3 @@ def colliding(ids: Sequence[int], hashes: Sequence[str]) -> list[int]:
         if known is None or hashes[index] < known:
             smallest[ids[index]] = hashes[index]
     return [index for index in repeated if hashes[index] != smallest[ids[index]]]
-
-
-def with_numbers(episodes: pa.RecordBatch, columns: Sequence[str] | None = None) -> pa.RecordBatch:
-    """Return rows of the episodes table with both the integer id and the hash. In rows of earlier releases the id
-    column holds the hash; the integer id is then computed from the hash.
-
-    Parameters
-    ----------
-    columns : the wanted columns in order; None for all
-    """
-    names = episodes.schema.names
-    if ID in names and pa.types.is_string(episodes.schema.field(ID).type):
-        hashes = episodes.column(ID)
-        numbers = pa.array([numeric_id(name) for name in hashes.to_pylist()], pa.int64())
-        at = names.index(ID)
-        arrays = [*episodes.columns[:at], numbers, hashes, *episodes.columns[at + 1 :]]
-        episodes = pa.RecordBatch.from_arrays(arrays, [*names[:at], ID, HASH, *names[at + 1 :]])
-    return episodes if columns is None else episodes.select(list(columns))

@@ -3,11 +3,15 @@
 The evidence for a true condition is a witness, and its anchor if it has one. The evidence for a false one is almost the
 whole floor of the room; or, if the room has objects of that label without the stated relation, all such objects that
 can be seen at all, and the anchor. Only conditions on the gold path count, since the agent evaluates no others.
+
+An object must be recognised from one place (:class:`condvln.navigation.sight.Recognition`). Of a floor each point must
+be visible from some place so near that a usual object with the label would be recognised there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,57 +21,46 @@ from numpy.typing import NDArray
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
-from condvln.episodes.kernels.prefix import shared_beginning, spaced_points
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
-from condvln.instructions.referents import things_meant_by
+from condvln.instructions.absence import absence_range
+from condvln.instructions.referents import things_meant
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.navigation.sight import Look, SightTarget, View, eyes_at, lines_in_view
+from condvln.navigation.sight import EDGE, Recognition, SightTarget, View, eyes_at, in_view, visible_extent
 from condvln.scene import Scene, SceneObject
-from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from schemas.config import EpisodeConfig, PlacesConfig
-from schemas.config.constants import EYE_SPACING, FIRST_VIEW_DEGREES, PREFIX_SAMPLES, PREFIX_STRAY
-from schemas.episode import Observability
+from schemas.config.constants import EYE_SPACING, LEVEL_CAMERA, PREFIX_SAMPLES, PREFIX_STRAY
+from schemas.episode import Evidence, Observability
 from schemas.program import Condition, Program
 
-__all__ = ["FIRST_VIEW", "ConditionEvidence", "Observation", "Observer", "SightNeed", "common_prefix"]
+__all__ = ["FIRST_VIEW", "Observation", "Observer", "SightNeed", "common_prefix", "places_at"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+DIGITS: Final = 2
+"""Decimals of published degrees."""
 FIRST_VIEW: Final = "O0f"
 """The name by which a cell asks for O0 with all evidence in the first view."""
-NEEDS_AT_ONCE: Final = 2048
-"""Targets in first views that are tested together, of some hundred sample points each: tens of megabytes."""
 LEVELS: Final[tuple[Observability, ...]] = ("O0", "O1", "O2")
 """Levels in order: from visible at the start to visible only with a detour."""
 
-SightNeed = tuple[str, str]
-"""What must be seen: ("object", object id) or ("floor", room id)."""
+SightNeed = tuple[str, str, float]
+"""What must be seen: ("object", object id, 0) or ("floor", room id, metres up to which its points count as seen)."""
 _Needs = tuple[frozenset[SightNeed], ...]
 """Alternative sets of targets that reveal a condition's truth: one whole set must be seen."""
-
-
-@dataclass(frozen=True, slots=True)
-class ConditionEvidence:
-    """From where the evidence for one condition is visible. `in_view` says whether an agent sees all of this evidence
-    in its first view, without turning.
-    """
-
-    condition: int
-    observability: Observability
-    in_view: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
     """The observability of an episode: the worst level over the conditions on its gold path.
 
-    in_view : all evidence lies in the first view, 90° wide (O0f, a part of O0)
+    in_view : all evidence lies in the first view, 79° × 63° (O0f, a part of O0)
     approximate : boxes were used where surfaces are not known
     """
 
-    evidence: tuple[ConditionEvidence, ...]
+    evidence: tuple[Evidence, ...]
     approximate: bool
 
     @property
@@ -105,215 +98,151 @@ class Observer:
         self._sightings = sightings
         self._things: dict[tuple[str, str], tuple[str, ...]] = {}
         self._places, self._rules = places, rules
-        self._obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
-        # What the level camera of the first view sees of things if it turns through 360°. The floor at the agent's feet
-        # has no limit, since nothing can be there.
-        self.around = {
-            "object": View(range=places.sight_range, pitch=FIRST_VIEW_DEGREES / 2),
-            "floor": View(range=places.sight_range),
-        }
-        self._front = View(range=places.sight_range, horizontal_fov=FIRST_VIEW_DEGREES, vertical_fov=FIRST_VIEW_DEGREES)
-        self._targets: dict[SightNeed, SightTarget | None] = {}
-        self._seen: dict[SightNeed, _Seen] = {}
-        self._evidence: dict[int, _Evidence] = {}
+        self.obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
+        # What the level camera of the first view recognises if it turns through 360°. The floor at the agent's feet has
+        # no limit, since nothing can be there.
+        self.rule = Recognition.of(places, rules)
+        self._front = View(places.sight_range, *LEVEL_CAMERA)
+        self._targets: dict[tuple[str, str], SightTarget | None] = {}
+        self._degrees: dict[SightNeed, dict[bytes, float]] = {}
+        self._seen: dict[SightNeed, dict[bytes, Bools]] = {}
 
-    def observe(self, placed: Sequence[tuple[Program, Outlook]]) -> list[Observation]:
-        """Return the observation of each placed program, in order."""
-        self._find_things(program.conditions[k] for program, _ in placed for k in set(program.route()[0]))
-        asked = [
-            [(k, self._evidence_of(program.conditions[k])) for k in sorted(set(program.route()[0]))]
-            for program, _ in placed
-        ]
-        starts = [_Eyes(eyes_at(outlook.start, self._places.eye_height)) for _, outlook in placed]
-        self._look((name, eye) for needs, eye in zip(asked, starts, strict=True) for _, of in needs for name in of.all)
-        at_start = [[self._known(of.ways, eye) for _, of in needs] for needs, eye in zip(asked, starts, strict=True)]
-        # Only what is not known at the start is looked for on the way.
-        paths = [
-            eye if all(known) else self._eyes_on_the_way(outlook)
-            for (_, outlook), eye, known in zip(placed, starts, at_start, strict=True)
-        ]
-        self._look(
-            (name, path)
-            for needs, known, path in zip(asked, at_start, paths, strict=True)
-            for (_, of), seen in zip(needs, known, strict=True)
-            if not seen
-            for name in of.all
-        )
-        ahead = self._ahead(
-            (name, eye, outlook.yaw)
-            for (_, outlook), needs, known, eye in zip(placed, asked, at_start, starts, strict=True)
-            for (_, of), seen in zip(needs, known, strict=True)
-            if seen
-            for name in of.all
-        )
-        found = []
-        for (_, outlook), needs, known, eye, path in zip(placed, asked, at_start, starts, paths, strict=True):
-            evidence = []
-            for (k, of), seen in zip(needs, known, strict=True):
-                level: Observability = "O0" if seen else "O1" if self._known(of.ways, path) else "O2"
-                in_view = seen and any(
-                    all((name, eye.keys[0], outlook.yaw) in ahead for name in way) for way in of.ways
-                )
-                evidence.append(ConditionEvidence(k, level, in_view))
-            found.append(Observation(tuple(evidence), self._view.approximate))
-        return found
+    def observe(self, program: Program, outlook: Outlook) -> Observation:
+        """Return the observation of a placed program."""
+        start = eyes_at(outlook.start, self._places.eye_height).reshape(1, 3)
+        on_the_way: F64 | None = None
+        evidence = []
+        for k in sorted(set(program.route()[0])):
+            ways = self.needs(program.conditions[k])
+            known, degrees = self._known(ways, start)
+            if known:
+                in_view = any(all(self._is_ahead(name, start, outlook.yaw) for name in way) for way in ways)
+                evidence.append(Evidence(condition=k, observability="O0", in_view=in_view, degrees=degrees))
+                continue
+            # Only what is not known at the start is looked for on the way.
+            if on_the_way is None:
+                on_the_way = self._eyes_on_the_way(outlook)
+            known, degrees = self._known(ways, on_the_way)
+            found: Observability = "O1" if known else "O2"
+            best = degrees if known else self._from_anywhere(ways)
+            evidence.append(Evidence(condition=k, observability=found, in_view=False, degrees=best))
+        return Observation(tuple(evidence), self._view.approximate)
 
-    def _eyes_on_the_way(self, outlook: Outlook) -> _Eyes:
-        prefix = common_prefix(outlook.paths)
-        points = spaced_points(prefix, EYE_SPACING)
+    def _eyes_on_the_way(self, outlook: Outlook) -> F64:
+        points = spaced_points(common_prefix(outlook.paths), EYE_SPACING)
         points[0] = outlook.start
-        return _Eyes(eyes_at(points, self._places.eye_height))
-
-    def _evidence_of(self, condition: Condition) -> _Evidence:
-        """Return what `needs` returns, found once for each condition of the scene."""
-        found = self._evidence.get(id(condition))
-        if found is None:
-            found = self._evidence[id(condition)] = _Evidence(condition, self.needs(condition))
-        return found
+        return eyes_at(points, self._places.eye_height)
 
     def needs(self, condition: Condition) -> _Needs:
         """Return alternative sets of sight targets. To know a condition's truth, an agent must see all targets of at
         least one set.
         """
         room = condition.room.room_id
-        anchor = () if condition.qualifier is None else [("object", name) for name in condition.qualifier.anchor_ids]
+        anchor = () if condition.qualifier is None else [_object(name) for name in condition.qualifier.anchor_ids]
         if condition.truth:
-            return tuple(frozenset({("object", witness), *anchor}) for witness in condition.witnesses)
-        whole: _Needs = (frozenset({("floor", room)}),)
+            return tuple(frozenset({_object(witness), *anchor}) for witness in condition.witnesses)
+        whole: _Needs = (frozenset({("floor", room, absence_range(condition.label, self._places))}),)
         if condition.qualifier is None:
             return whole
-        there = [("object", name) for name in self._meant(room, condition.label)]
+        there = [_object(name) for name in self._meant(room, condition.label)]
         return (frozenset({*there, *anchor}), *whole) if there else whole
-
-    def _find_things(self, conditions: Iterable[Condition]) -> None:
-        """Find what `_meant` returns for conditions, all labels of a room together."""
-        new: dict[str, dict[str, None]] = {}
-        for condition in conditions:
-            room = condition.room.room_id
-            if not condition.truth and condition.qualifier is not None and (room, condition.label) not in self._things:
-                new.setdefault(room, {})[condition.label] = None
-        for room, labels in new.items():
-            found = things_meant_by(self._scene, room, tuple(labels), self._words, self._sightings)
-            self._things.update(((room, label), names) for label, names in zip(labels, found, strict=True))
 
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
         """Return the ids of the visible objects that a word for `label` might mean in a room. Unlabelled objects are
         included.
         """
         if (room_id, label) not in self._things:
-            (found,) = things_meant_by(self._scene, room_id, (label,), self._words, self._sightings)
-            self._things[room_id, label] = found
+            found = things_meant(self._scene, room_id, label, self._words, self._sightings)
+            self._things[room_id, label] = tuple(found)
         return self._things[room_id, label]
 
     def target(self, name: SightNeed) -> SightTarget | None:
         """Return the sight target of a piece of evidence; None for a room whose floor is unknown."""
-        if name not in self._targets:
-            kind, key = name
+        kind, key, _ = name
+        if (kind, key) not in self._targets:
             if kind == "object":
-                self._targets[name] = self._view.target(key)
+                self._targets[kind, key] = self._view.target(key)
             else:
                 room = self._scene.room_of[key]
-                points = floor_points(self._scene, room, self._pathfinder, self._islands, self._obstacles)
-                self._targets[name] = SightTarget(points) if len(points) else None
-        return self._targets[name]
+                points = floor_points(self._scene, room, self._pathfinder, self._islands, self.obstacles)
+                self._targets[kind, key] = SightTarget(points) if len(points) else None
+        return self._targets[kind, key]
 
-    def _look(self, wanted: Iterable[tuple[SightNeed, _Eyes]]) -> None:
-        """Compute and cache the wanted lines of sight that are not cached yet, all together."""
-        new: dict[SightNeed, dict[bytes, F64]] = {}
-        for name, eyes in wanted:
-            known, added = self._seen.setdefault(name, _Seen()).masks, new.setdefault(name, {})
-            for key, place in zip(eyes.keys, eyes.places, strict=True):
-                if key not in known:
-                    added[key] = place
-        looks, keys = list[Look](), list[tuple[SightNeed, dict[bytes, F64]]]()
-        for name, places in new.items():
-            target = self.target(name) if places else None
-            if target is not None:
-                looks.append(Look(np.array(list(places.values())), target, self.around[name[0]]))
-                keys.append((name, places))
-        for (name, places), seen in zip(keys, self._view.seen_by_each(looks), strict=True):
-            self._seen[name].add(places, seen, self._least(name))
+    def around(self, name: SightNeed) -> View:
+        """Return the view of a piece of evidence by a camera that turns through 360°."""
+        kind, _, metres = name
+        return self.rule.view if kind == "object" else View(range=max(metres, EDGE))
 
-    def _least(self, name: SightNeed) -> float:
-        """Return the share of a target's sample points that must be seen."""
-        return self._rules.floor_seen if name[0] == "floor" else self._rules.object_seen
-
-    def _known(self, ways: _Needs, eyes: _Eyes) -> bool:
-        """Return whether a condition's truth can be known from the `eyes`, looking all around. Each of the `ways` is a
-        set of evidence that suffices to know the truth; all evidence of at least one set must be visible.
+    def _known(self, ways: _Needs, eyes: F64) -> tuple[bool, float | None]:
+        """Return whether a condition's truth can be known from the `eyes` (n, 3) together, looking all around, and how
+        large the evidence appears at least (None for a floor). Each of the `ways` is a set of evidence that suffices to
+        know the truth; all evidence of at least one set must be visible.
         """
-        return any(all(self._is_seen(name, eyes) for name in way) for way in ways)
+        best: list[float] = []
+        known = False
+        for way in ways:
+            if all(self._covered(name, eyes) for name in way if name[0] == "floor"):
+                objects = [float(self.degrees(name, eyes).max()) for name in way if name[0] == "object"]
+                if all(objects):
+                    known = True
+                    best += [min(objects)] if objects else []
+        return known, round(max(best), DIGITS) if best else None
 
-    def _is_seen(self, name: SightNeed, eyes: _Eyes) -> bool:
-        if self.target(name) is None:
+    def _from_anywhere(self, ways: _Needs) -> float | None:
+        """Return how large the objects of the best of the `ways` appear from the best places of their rooms; None if no
+        way has only objects that are recognised from there.
+        """
+        known = self._sightings.degrees
+        best = [min(known.get(name, 0.0) for _, name, _ in way) for way in ways if all(n[0] == "object" for n in way)]
+        return max(best, default=0.0) or None
+
+    def _covered(self, name: SightNeed, eyes: F64) -> bool:
+        """Return whether enough of a floor is visible from the `eyes` (n, 3) together."""
+        target = self.target(name)
+        if target is None:
             return False
-        return self._seen[name].is_enough(eyes.keys, self._least(name))
+        return bool(self.floor_in_view(name, eyes).any(axis=0).mean() >= self._rules.floor_seen)
 
-    def _ahead(self, asked: Iterable[tuple[SightNeed, _Eyes, float]]) -> set[tuple[SightNeed, bytes, float]]:
-        """Return which of the needs are met in the view straight ahead, by its yaw, from the first of the eyes."""
-        needs = [
-            ((name, eyes.keys[0], yaw), eyes.places[0], target.samples)
-            for name, eyes, yaw in asked
-            if (target := self.target(name)) is not None and self._is_seen(name, eyes)
-        ]
-        met = set[tuple[SightNeed, bytes, float]]()
-        for begin in range(0, len(needs), NEEDS_AT_ONCE):
-            part = needs[begin : begin + NEEDS_AT_ONCE]
-            sizes = [len(samples) for _, _, samples in part]
-            eyes = np.repeat([place for _, place, _ in part], sizes, axis=0)
-            yaws = np.repeat([yaw for (_, _, yaw), _, _ in part], sizes)
-            seen = np.concatenate([self._seen[name].masks[key] for (name, key, _), _, _ in part])
-            seen &= lines_in_view(eyes, np.concatenate([samples for _, _, samples in part]), self._front, yaws)
-            begins = np.cumsum([0, *sizes[:-1]], dtype=np.int64)
-            counts = np.add.reduceat(seen.view(np.uint8), begins, dtype=np.int64).tolist()
-            for (need, _, _), count, size in zip(part, counts, sizes, strict=True):
-                if count / size >= self._least(need[0]):
-                    met.add(need)
-        return met
-
-
-class _Seen:
-    """What is seen of one target from the eyes from which it was looked for.
-
-    masks : which sample points (k,) each eye sees, by its key
-    """
-
-    def __init__(self) -> None:
-        self.masks: dict[bytes, Bools] = {}
-        self._enough: dict[bytes, bool] = {}
-
-    def add(self, keys: Collection[bytes], seen: Bools, least: float) -> None:
-        """Add the masks (n, k) of n eyes. At least the share `least` of the k sample points must be seen."""
-        self.masks.update(zip(keys, seen, strict=True))
-        enough = np.count_nonzero(seen, axis=1) / max(1, seen.shape[1]) >= least
-        self._enough.update(zip(keys, enough.tolist(), strict=True))
-
-    def is_enough(self, keys: Sequence[bytes], least: float) -> bool:
-        """Return whether enough of the target is seen from several eyes together."""
-        if any(self._enough[key] for key in keys):
-            return True
-        if len(keys) == 1:
+    def _is_ahead(self, name: SightNeed, eye: F64, yaw: float) -> bool:
+        """Return whether a piece of evidence is recognised from one eye (1, 3) in the view straight ahead."""
+        target = self.target(name)
+        if target is None:
             return False
-        seen = np.logical_or.reduce([self.masks[key] for key in keys])
-        return bool(np.count_nonzero(seen) / len(seen) >= least)
+        seen = in_view(eye, target.samples, self._front, [yaw])
+        if name[0] == "floor":
+            return bool((seen & self.floor_in_view(name, eye)).mean() >= self._rules.floor_seen)
+        seen &= self._view.seen(eye, target, self.rule.view)
+        return bool(self.rule.holds(seen, visible_extent(eye, target.samples, seen))[0])
+
+    def degrees(self, name: SightNeed, eyes: F64) -> F64:
+        """Return how large an object appears from each of the eyes (n, 3), in any direction: (n,) degrees, 0 where it
+        is not recognised; see `SceneView.degrees`.
+        """
+        known = self._degrees.setdefault(name, {})
+        keys = [eye.tobytes() for eye in eyes]
+        new = [k for k, key in enumerate(keys) if key not in known]
+        if new:
+            found = self._view.degrees(eyes[new], name[1], self.rule)
+            known.update(zip((keys[k] for k in new), found.tolist(), strict=True))
+        return np.array([known[key] for key in keys])
+
+    def floor_in_view(self, name: SightNeed, eyes: F64) -> Bools:
+        """Return a mask (n, k): whether each point of a known floor is visible from each of the eyes (n, 3), near
+        enough to recognise there what the evidence asks for.
+        """
+        target = self.target(name)
+        assert target is not None, "the floor is known"
+        known = self._seen.setdefault(name, {})
+        keys = [eye.tobytes() for eye in eyes]
+        new = [k for k, key in enumerate(keys) if key not in known]
+        if new:
+            seen = self._view.seen(eyes[new], target, self.around(name))
+            known.update(zip((keys[k] for k in new), seen, strict=True))
+        return np.array([known[key] for key in keys])
 
 
-class _Eyes:
-    """Places (n, 3) of eyes in metres, and a key of each."""
-
-    def __init__(self, places: F64) -> None:
-        raw, size = places.tobytes(), places.itemsize * 3
-        self.places = places
-        self.keys = [raw[k : k + size] for k in range(0, len(raw), size)]
-
-
-class _Evidence:
-    """The sets of targets that reveal the truth of a condition, which is kept so that its identity stays its own, and
-    all of these targets.
-    """
-
-    def __init__(self, condition: Condition, ways: _Needs) -> None:
-        self.condition, self.ways, self.all = condition, ways, sorted(frozenset().union(*ways))
+def _object(name: str) -> SightNeed:
+    return ("object", name, 0.0)
 
 
 def common_prefix(paths: Sequence[F64]) -> F64:
@@ -321,5 +250,28 @@ def common_prefix(paths: Sequence[F64]) -> F64:
 
     It ends where two paths are farther than PREFIX_STRAY apart at equal walked length.
     """
-    first = np.cumsum([0, *map(len, paths)], dtype=np.int64)
-    return shared_beginning(np.concatenate(paths, dtype=np.float64), first, PREFIX_SAMPLES, PREFIX_STRAY)
+    shortest = min(_walked(path)[-1] for path in paths)
+    at = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
+    places = np.array([places_at(path, at) for path in paths])
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1).max(axis=(0, 1)) > PREFIX_STRAY
+    last = max(int(np.argmax(apart)) if apart.any() else len(at), 1) - 1
+    walked = _walked(paths[0])
+    inner = (walked > 0.0) & (walked < at[last])
+    return np.concatenate([paths[0][:1], paths[0][inner], places[0][[last]]])
+
+
+def spaced_points(path: F64, spacing: float) -> F64:
+    """Return points (n, 3) along a polyline at equal distances of at most ``spacing`` metres, both ends included."""
+    length = _walked(path)[-1]
+    return places_at(path, np.linspace(0.0, length, max(1, math.ceil(length / spacing)) + 1))
+
+
+def _walked(path: F64) -> F64:
+    """Return the metres walked (n,) at each corner of a path."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+
+
+def places_at(path: F64, at: F64) -> F64:
+    """Return the points (k, 3) of a path at which `at` (k,) metres are walked."""
+    walked = _walked(path)
+    return np.column_stack([np.interp(at, walked, path[:, axis]) for axis in range(3)])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,20 +14,108 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.picture_labels import Label, place_labels
-from condvln.formats.figure_file import write_figure
+from condvln.episodes.observability import places_at
+from condvln.formats.streams import write_figure
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
+from condvln.navigation.follower import FORWARD, VLN_CE
 from condvln.scene import Scene, SceneObject
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.scene import STRUCTURE, SceneGeometry
 from schemas.program import Condition, Program
 
-__all__ = ["draw_episode", "wall_lines"]
+__all__ = ["Label", "draw_episode", "place_labels", "wall_lines"]
 
 F64 = NDArray[np.float64]
+
+GAP: Final = 2.0
+"""Least distance between two labels, pixels."""
+STEP: Final = 7.0
+"""Distance between two rings of positions that are tried, pixels."""
+RINGS: Final = 40
+"""Number of rings that are tried for a label that must be placed."""
+NEARBY: Final = 2
+"""The same for a label that may be left out."""
+DIRECTIONS: Final = 16
+"""Number of positions on a ring."""
+LED: Final = 12.0
+"""Shift in pixels from which a line joins a label to its place."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """A text to write at the place (x, z), in metres. A label that is not `needed` is left out if there is no room for
+    it.
+    """
+
+    text: str
+    x: float
+    z: float
+    colour: str = "#333333"
+    size: float = 6.0
+    needed: bool = False
+    bold: bool = False
+
+
+def place_labels(axes: Axes, labels: Sequence[Label], marks: Iterable[tuple[float, float, float]] = ()) -> list[Text]:
+    """Add labels to a plan, the needed ones first, and return the texts that were added.
+
+    The limits and the position of `axes` must be final, since the labels are placed by their sizes in pixels.
+
+    Parameters
+    ----------
+    marks : x, z in metres, and the radius in pixels of what no label may cover
+    """
+    frame = np.array(axes.get_window_extent().extents)
+    taken: list[F64] = []
+    for x, z, radius in marks:
+        column, row = axes.transData.transform((x, z))
+        taken.append(np.array([column - radius, row - radius, column + radius, row + radius]))
+    added = []
+    for label in sorted(labels, key=lambda one: not one.needed):
+        text = axes.text(
+            label.x,
+            label.z,
+            label.text,
+            color=label.colour,
+            fontsize=label.size,
+            weight="bold" if label.bold else "normal",
+            ha="center",
+            va="center",
+            zorder=6,
+        )
+        box = np.array(text.get_window_extent().padded(GAP).extents)
+        shift = _free_shift(box, np.array(taken).reshape(-1, 4), frame, RINGS if label.needed else NEARBY)
+        if shift is None:
+            text.remove()
+            continue
+        taken.append(box + np.tile(shift, 2))
+        anchor = axes.transData.transform((label.x, label.z))
+        place = axes.transData.inverted().transform(anchor + shift)
+        text.set_position((float(place[0]), float(place[1])))
+        if np.hypot(*shift) >= LED:
+            axes.plot([label.x, place[0]], [label.z, place[1]], color=label.colour, linewidth=0.6, alpha=0.6, zorder=5)
+        added.append(text)
+    return added
+
+
+def _free_shift(box: F64, taken: F64, frame: F64, rings: int) -> F64 | None:
+    """Return the shortest of the tried shifts (2,), in pixels, that moves a box (left, bottom, right, top) to a place
+    within the frame where it overlaps no box of `taken`; None if no tried shift does.
+    """
+    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    unit = np.column_stack([np.cos(angles), np.sin(angles)])
+    radii = STEP * np.arange(1, rings + 1)
+    shifts = np.concatenate([np.zeros((1, 2)), (radii[:, None, None] * unit).reshape(-1, 2)])
+    boxes = box + np.tile(shifts, 2)
+    inside = (boxes[:, :2] >= frame[:2]).all(axis=1) & (boxes[:, 2:] <= frame[2:]).all(axis=1)
+    apart = (boxes[:, None, :2] >= taken[None, :, 2:]) | (boxes[:, None, 2:] <= taken[None, :, :2])
+    free = inside & apart.any(axis=2).all(axis=1)
+    return np.asarray(shifts[int(np.argmax(free))], np.float64) if free.any() else None
+
 
 GOLD: Final = "#1b7f3b"
 OTHER: Final = "#b3541e"
@@ -52,6 +141,7 @@ LEGEND: Final = {
     "start": "start, and the heading there",
     "gold": "path to the gold leaf; ★ its goal, ○ its stops",
     "other": "path to another leaf; ✕ its goal, ○ its stops",
+    "looking": "looking path to the gold leaf; ◇ where a condition is decided",
 }
 """What each mark of the plan means."""
 
@@ -227,6 +317,14 @@ def _draw_paths(plan: Axes, episode: Mapping[str, Any]) -> set[str]:
             plan.plot(stop["position"]["x"], stop["position"]["z"], "o", color=colour, markersize=6, fillstyle="none")
         plan.plot(*line[-1], "*" if gold else "X", color=colour, markersize=14 if gold else 9)
         drawn.add("gold" if gold else "other")
+    if episode.get("looking_path"):
+        line = np.array([[p["x"], p["z"]] for p in episode["looking_path"]])
+        plan.plot(line[:, 0], line[:, 1], color=GOLD, linewidth=1.6, linestyle=":")
+        moved = np.cumsum(np.array(episode["looking_actions"]) == FORWARD) * VLN_CE.forward
+        walked = np.append(0.0, moved)[list(episode["looking_decided"])]
+        places = places_at(np.insert(line, 1, 0.0, axis=1), walked)
+        plan.plot(places[:, 0], places[:, 2], "D", color=GOLD, markersize=6, fillstyle="none")
+        drawn.add("looking")
     start, heading = episode["start_position"], np.radians(episode["start_heading_degrees"])
     plan.annotate(
         "",
@@ -302,6 +400,7 @@ def _handle(mark: str) -> Line2D | Patch:
         "start": {"color": START, "marker": "s", "linewidth": 0},
         "gold": {"color": GOLD, "linewidth": 2.4, "marker": "*", "markersize": 10},
         "other": {"color": OTHER, "linewidth": 1.4, "linestyle": "--", "marker": "X"},
+        "looking": {"color": GOLD, "linewidth": 1.6, "linestyle": ":", "marker": "D", "fillstyle": "none"},
     }
     if mark in lines:
         return Line2D([], [], label=LEGEND[mark], **lines[mark])

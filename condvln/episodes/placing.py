@@ -17,13 +17,12 @@ from condvln.episodes.facing import HEADINGS, Facings, Headings
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
 from condvln.episodes.kernels.starts import REFUSALS, Bounds
-from condvln.episodes.routes import GoalField, Route
-from condvln.episodes.starts import ANY_LENGTH, FoundLeaf, Leaves, Starts
+from condvln.episodes.starts import ANY_LENGTH, FoundLeaf, GoalField, Leaves, Route, Starts
 from condvln.instructions.stops import Stops
 from condvln.navigation.follower import FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
-from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from condvln.seeding import FewDraws, generator
 from schemas.config import EpisodeConfig, PlacesConfig, Thresholds
 from schemas.program import Program
@@ -34,6 +33,7 @@ __all__ = [
     "Placement",
     "Placer",
     "Rejected",
+    "Routes",
     "heading_degrees",
     "reachable_stops",
     "yaw_quaternion",
@@ -53,11 +53,20 @@ ROUTE_MISSED: Final = "route_missed"
 """Rejection reason: other rules can be met, but the routes are shorter or longer than the cell asks for."""
 
 
-class Rejected(Exception):
-    """A program can't be placed; `reason` is a key of ``rules.REASONS``."""
+LOOKING: Final = ("looking_unseen", "looking_detour", "looking_budget")
+"""Rejection reasons of looking paths."""
 
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
+
+LOOKS: Final = 5
+"""Number of starts after which a program is given up because of its looking paths: they are costly, and what a start
+can't see, the others mostly can't either."""
+
+
+class Rejected(Exception):
+    """A program can't be placed; `reason` is a key of ``candidates.REASONS``; `final` from no start at all."""
+
+    def __init__(self, reason: str, *, final: bool = False) -> None:
+        self.reason, self.final = reason, final
         super().__init__(reason)
 
 
@@ -94,6 +103,19 @@ class Outlook:
 
 
 Fit: TypeAlias = Callable[[Outlook], float | None]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Routes:
+    """A start that meets all rules on distances: start (3,) in metres, yaw in radians about +Y, the objects and the
+    route of each leaf.
+    """
+
+    start: F64
+    yaw: float
+    objects: tuple[tuple[str, ...], ...]
+    leaves: tuple[FoundLeaf, ...]
+    success_distance: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -252,6 +274,7 @@ class Placer:
         fit: Fit | None = None,
         lengths: tuple[float, float] | None = None,
         members: Sequence[Program] | None = None,
+        look: Callable[[Routes], None] | None = None,
     ) -> Placement:
         """Find one start for `program` from which every leaf meets every rule.
 
@@ -261,6 +284,7 @@ class Placer:
         fit : further rule on the start and paths: returns the yaw that meets it, or None
         lengths : inclusive bounds in metres of every leaf's route
         members : the programs that share the start, `program` alone by default
+        look : checks the looking paths; raises `Rejected`
 
         Raises
         ------
@@ -285,16 +309,19 @@ class Placer:
         yaws = self._yaws(draws, order, facing, compass=compass)
         refused = np.zeros(len(REFUSALS), np.int64)
         failures: Counter[str] = Counter()
-        at = 0
+        at = looked = 0
         while at < len(order):
             found = self._from_starts.first_fit(leaves, order[at:], self.tau, lengths, refused)
             if found is None:
                 break
             at += found.refused
             try:
-                return self._placed(program, int(order[at]), yaws[at], found.leaves, fit)
+                return self._placed(program, int(order[at]), yaws[at], found.leaves, fit, look)
             except Rejected as rejected:
                 failures[rejected.reason] += 1
+                looked += rejected.reason in LOOKING
+                if rejected.final or looked == LOOKS:
+                    raise
             at += 1
         failures.update({reason: count for reason, count in zip(REFUSALS, refused.tolist(), strict=True) if count})
         for reason in (NOT_FIT, ROUTE_MISSED):
@@ -338,6 +365,7 @@ class Placer:
         yaw: float,
         leaves: Sequence[FoundLeaf],
         fit: Fit | None,
+        look: Callable[[Routes], None] | None,
     ) -> Placement:
         """Return the placement at start number `at`, whose `leaves` meet the rules.
 
@@ -351,14 +379,17 @@ class Placer:
             if fitting is None:
                 raise Rejected(NOT_FIT)
             yaw = fitting
-        walks = self._follower.follow_each(start, yaw, [found.route.stops for found in leaves])
+        objects = tuple([tuple([move.object_id for move in leaf.moves]) for leaf in program.leaves])
+        if look is not None:
+            look(Routes(start, yaw, objects, tuple(leaves), self.tau))
+        walks = [self._follower.follow(start, yaw, found.route.stops) for found in leaves]
         for walk in walks:
             if walk.outcome == "too long":
                 raise Rejected("over_step_budget")
             if not walk.arrived:
                 raise Rejected("follower_stuck")
         placed = [
-            PlacedLeaf(tuple([move.object_id for move in leaf.moves]), goals, route, distance, walk)
-            for leaf, (route, distance, goals), walk in zip(program.leaves, leaves, walks, strict=True)
+            PlacedLeaf(names, goals, route, distance, walk)
+            for names, (route, distance, goals), walk in zip(objects, leaves, walks, strict=True)
         ]
         return Placement(start, yaw, tuple(placed), self.tau)

@@ -6,22 +6,77 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from itertools import chain
-from typing import Final, Protocol, TypeAlias
+from functools import cached_property, lru_cache, partial
+from itertools import chain, zip_longest
+from typing import Final, TypeAlias
 
-from condvln.episodes.candidates import Candidate, Draft
+from condvln.episodes.candidates import Candidate, CandidateSupply
 from condvln.episodes.identity import colliding, content_hash, numeric_id
-from condvln.episodes.label_share import allowed_share, most_leaves, over_share
+from condvln.episodes.looking import LookingPath, LookingPaths
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
-from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected
+from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected, Routes
 from schemas.config import InstructionCell
-from schemas.config.constants import DRAWN_PER_PLACE, MOVES_OFF
+from schemas.config.constants import DRAWN_PER_PLACE, FEW_LABELS_SLACK, KEPT_AT_LEAST, MOVES_OFF
 from schemas.program import SHAPES, Category, Program
 
-__all__ = ["EpisodePool", "MoveShares", "PooledEpisode", "Supply", "fill_pool"]
+__all__ = [
+    "EpisodePool",
+    "MoveShares",
+    "PooledEpisode",
+    "allowed_share",
+    "fill_pool",
+    "most_leaves",
+    "over_share",
+]
+
+
+def allowed_share(label_cap: float, labels: int) -> float:
+    """Return the maximum share of leaves that one label may have, where `labels` is the number of different labels."""
+    return max(label_cap, FEW_LABELS_SLACK / max(1, labels))
+
+
+def most_leaves(share: float, leaves: int) -> int:
+    """Return how many of ``leaves`` leaves may have the same label if the maximum share is ``share``. The number is
+    rounded up, so that small sets are not dropped.
+    """
+    return math.ceil(share * leaves)
+
+
+def over_share(units: Sequence[Sequence[Counter[str]]], label_cap: float) -> list[int]:
+    """Return the indices of the units to drop, in the order of dropping, so that no label exceeds its share.
+
+    Parameters
+    ----------
+    units : what is kept or dropped as a whole: for each of its episodes a counter of its leaves' labels
+    """
+    leaves = [sum(unit, Counter[str]()) for unit in units]
+    total = sum(leaves, Counter[str]())
+    share = allowed_share(label_cap, len(total))
+    episodes = sum(map(len, units))
+    floor = math.ceil(KEPT_AT_LEAST * episodes)
+    left, dropped = set(range(len(units))), list[int]()
+    best, fewest = math.inf, 0
+    while total:
+        label = max(sorted(total), key=lambda name: total[name])
+        most = most_leaves(share, total.total())
+        if total[label] <= most:
+            return dropped
+        if total[label] / total.total() < best:
+            best, fewest = total[label] / total.total(), len(dropped)
+        over = {name for name, count in total.items() if count > most}
+        holding = [k for k in left if leaves[k][label] and episodes - len(units[k]) >= floor]
+        if not holding:
+            break
+        # The unit with the most leaves of labels above their share is dropped first; the last one on ties.
+        worst = max(holding, key=lambda k: (len(over & leaves[k].keys()), k))
+        left.remove(worst)
+        dropped.append(worst)
+        episodes -= len(units[worst])
+        total -= leaves[worst]
+    return dropped[:fewest]
+
 
 QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 """Yaw offsets tried for a start whose first view must show the evidence; they map compass points to compass points."""
@@ -36,10 +91,11 @@ MoveShares: TypeAlias = Callable[[Category], tuple[Sequence[float], Sequence[flo
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PooledEpisode:
-    """A placed candidate, with its observability."""
+    """A placed candidate, with the looking path to its gold leaf and its observability."""
 
     candidate: Candidate
     placement: Placement
+    looking: LookingPath | None = None
     observation: Observation | None = None
 
     @property
@@ -66,15 +122,12 @@ class EpisodePool:
     rejections: Counter[tuple[InstructionCell | None, str]] = field(default_factory=Counter)
     examples: dict[tuple[InstructionCell | None, str], Candidate] = field(default_factory=dict)
 
-    def reject(
-        self, cell: InstructionCell | None, reason: str, example: Callable[[], Candidate], count: int = 1
-    ) -> None:
+    def reject(self, cell: InstructionCell | None, reason: str, example: Candidate, count: int = 1) -> None:
         """Count rejections of `count` candidates of a cell, and keep the first one of each cell and reason as an
-        example; `example` returns it.
+        example.
         """
         self.rejections[cell, reason] += count
-        if (cell, reason) not in self.examples:
-            self.examples[cell, reason] = example()
+        self.examples.setdefault((cell, reason), example)
 
     def reject_collisions(self, scene_id: str) -> None:
         """Drop episodes whose id collides with that of another episode of the scene, together with their counterfactual
@@ -86,7 +139,7 @@ class EpisodePool:
         kept = []
         for episode in self.episodes:
             if episode.instruction_id in lost or episode.candidate.group_id in groups:
-                self.reject(episode.candidate.cell, "id_collision", episode.candidate.made)
+                self.reject(episode.candidate.cell, "id_collision", episode.candidate)
             else:
                 kept.append(episode)
         self.episodes = kept
@@ -97,36 +150,8 @@ class EpisodePool:
         return Counter(episode.candidate.cell for episode in self.episodes)
 
 
-class Supply(Protocol):
-    """Draws candidates when they are wanted; see ``candidates.CandidateSupply``."""
-
-    @property
-    def labels(self) -> int:
-        """Number of labels that leaves of the scene can have."""
-        ...
-
-    @property
-    def group_leaves(self) -> float:
-        """Mean number of leaves of all programs of a counterfactual group."""
-        ...
-
-    def group(self) -> Sequence[Candidate]:
-        """Return the next counterfactual group; empty if there are no more."""
-        ...
-
-    def more(
-        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
-    ) -> Sequence[Candidate | Draft]:
-        """Return about `count` further candidates of a cell; empty if it is exhausted.
-
-        golds : wanted gold leaves
-        moves : wanted shares of leaves with 1, 2, … moves; None if any will do
-        """
-        ...
-
-
 def fill_pool(
-    supply: Supply,
+    supply: CandidateSupply,
     placer: Placer,
     cells: Sequence[InstructionCell],
     label_cap: float,
@@ -134,11 +159,12 @@ def fill_pool(
     observer: Observer | None = None,
     groups: int = 0,
     move_shares: MoveShares | None = None,
+    looking: LookingPaths | None = None,
 ) -> EpisodePool:
     """Draw candidates and place them, until every cell has the wanted number of episodes or is exhausted.
 
     Within a cell no gold index gets more than its equal share, so that the position of a leaf carries no information.
-    `label_cap` limits the share of leaves with one target label, as far as possible (``label_share``); episodes dropped
+    `label_cap` limits the share of leaves with one target label, as far as possible (``over_share``); episodes dropped
     for it make room for other candidates. The programs of a counterfactual group are placed together from one start,
     before all others, or not at all. A cell that stays short rejects no candidate as `quota_full`.
 
@@ -147,41 +173,17 @@ def fill_pool(
     cells, groups : cells and number of counterfactual groups wanted of the scene
     names_compass : whether a program's text names the start heading
     observer : computes the observability; if None, none is recorded and no cell may ask for one
+    looking : finds the looking paths; if None, none are asked for
     move_shares : wanted and drawn shares of leaves with 1, 2, … moves by category. Long routes are rejected more often,
         so those that a cell lacks are drawn, and its next candidate is always the one that brings the cell's leaves
         nearest to the wanted shares; None tries the candidates in order
     """
     wanted = sum(cell.count * SHAPES[cell.category].leaves for cell in cells) + round(groups * supply.group_leaves)
     most_of_label = most_leaves(allowed_share(label_cap, supply.labels), wanted)
-    filling = _Filling(supply, placer, groups, names_compass, observer, cells, move_shares)
+    filling = _Filling(supply, placer, groups, names_compass, observer, cells, move_shares, looking)
     filling.fill(lambda _: most_of_label)
     filling.trim(label_cap)
     return filling.pool()
-
-
-class _Numbers:
-    """Numbers of programs: equal programs have equal numbers. A part that several programs share is compared by value
-    once, since comparing is slow. The programs must be kept by the caller.
-    """
-
-    def __init__(self) -> None:
-        self._by_identity: dict[int, int] = {}
-        self._by_value: dict[Hashable, int] = {}
-
-    def of_program(self, program: Program) -> int:
-        """Return the number of a program."""
-        of, moves = self._of, [leaf.moves for leaf in program.leaves]
-        parts = [of(program.branches), *map(of, program.conditions)]
-        for stops in moves:
-            parts += map(of, stops)
-        key = (program.category, *map(len, moves), *parts)
-        return self._by_value.setdefault(key, len(self._by_value))
-
-    def _of(self, part: Hashable) -> int:
-        found = self._by_identity.get(id(part))
-        if found is None:
-            found = self._by_identity[id(part)] = self._by_value.setdefault(part, len(self._by_value))
-        return found
 
 
 def _golds_of_each(cell: InstructionCell) -> int:
@@ -194,43 +196,41 @@ class _Try:
 
     moves : how many leaves of the first of them have 1, 2, … moves, as sorted pairs
     refused : reason why they are not placed, so far; placement : that of the first of them, computed once
+    looking : the looking path to the gold leaf of each of them, if asked for
     """
 
-    def __init__(self, drafts: Sequence[Candidate | Draft], number: Callable[[Program], int]) -> None:
-        self._drafts, self._number = drafts, number
-        self.cell, self.count = drafts[0].cell, len(drafts)
-        self.moves = _counted(drafts[0].moves)
+    def __init__(self, members: Sequence[Candidate]) -> None:
+        self.members = members
+        self.cell, self.count = members[0].cell, len(members)
+        self.moves = _counted(members[0].moves)
         self.refused: str | None = None
         self.placement: Placement | None = None
+        self.looking: list[LookingPath] = []
 
     @cached_property
-    def members(self) -> list[Candidate]:
-        """The candidates, whose programs are made when one of them is looked at."""
-        return [draft.made() for draft in self._drafts]
-
-    def first(self) -> Candidate:
-        """Return the first candidate."""
-        return self.members[0]
-
-    @cached_property
-    def programs(self) -> set[int]:
-        """Numbers of their programs; equal programs have equal numbers."""
-        return {self._number(member.program) for member in self.members}
+    def programs(self) -> frozenset[Program]:
+        """Their programs."""
+        return frozenset(member.program for member in self.members)
 
     @cached_property
     def gold(self) -> int:
         """Index of the gold leaf of the first of them."""
-        return self._drafts[0].gold
+        return self.members[0].gold
 
     @cached_property
     def targets(self) -> Counter[str]:
         """Number of leaves by target label, of all of them."""
-        return Counter([label for draft in self._drafts for label in draft.labels])
+        return Counter([label for member in self.members for label in member.labels])
+
+    def order(self, member: Candidate) -> list[int]:
+        """Return where each leaf of one of them is among the leaves of the first one."""
+        leaves = self.members[0].program.leaves
+        return [leaves.index(leaf) for leaf in member.program.leaves]
 
     @property
     def labels(self) -> list[Counter[str]]:
         """Number of leaves by target label, of each of them."""
-        return [Counter(draft.labels) for draft in self._drafts]
+        return [Counter(member.labels) for member in self.members]
 
 
 _Waiting: TypeAlias = dict[tuple[tuple[int, int], ...], deque[_Try]]
@@ -251,18 +251,19 @@ class _Filling:
 
     def __init__(
         self,
-        supply: Supply,
+        supply: CandidateSupply,
         placer: Placer,
         groups: int,
         names_compass: Callable[[Program], bool],
         observer: Observer | None,
         cells: Sequence[InstructionCell],
         move_shares: MoveShares | None,
+        looking: LookingPaths | None,
     ) -> None:
+        self._looking = looking
         self._supply, self._cells, self._move_shares = supply, cells, move_shares
         self._tries: list[_Try] = []
         self._untried: dict[InstructionCell | None, _Waiting] = {cell: {} for cell in (None, *cells)}
-        self._number = _Numbers().of_program
         self._moves: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._group_moves: defaultdict[Category, Counter[int]] = defaultdict(Counter)
         self._free = Counter[Category]()
@@ -274,7 +275,7 @@ class _Filling:
         self._taken: Counter[InstructionCell] = Counter()
         self._golds: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
         self._labels: Counter[str] = Counter()
-        self._seen: set[int] = set()
+        self._seen: set[Program] = set()
         self._changes = 0
 
     def fill(self, most_of_label: Callable[[_Try], int]) -> int:
@@ -320,19 +321,15 @@ class _Filling:
         for one in self._tries:
             pool.candidates[one.cell] += one.count
             if one.refused is not None:
-                pool.reject(one.cell, one.refused, one.first, one.count)
+                pool.reject(one.cell, one.refused, one.members[0], one.count)
                 continue
             assert one.placement is not None
-            first = one.members[0].program
-            for member in one.members:
-                own = one.placement
-                if member.program is not first:  # another program of the group, with the same leaves in another order
-                    places = [first.leaves.index(leaf) for leaf in member.program.leaves]
-                    own = replace(one.placement, leaves=tuple(one.placement.leaves[k] for k in places))
-                pool.episodes.append(PooledEpisode(member, own))
+            for member, looking in zip_longest(one.members, one.looking):
+                leaves = tuple(one.placement.leaves[k] for k in one.order(member))
+                pool.episodes.append(PooledEpisode(member, replace(one.placement, leaves=leaves), looking))
         if self._observer is not None:
-            found = self._observer.observe([(e.program, e.placement.outlook) for e in pool.episodes])
-            pool.episodes = [replace(e, observation=o) for e, o in zip(pool.episodes, found, strict=True)]
+            observe = self._observer.observe
+            pool.episodes = [replace(e, observation=observe(e.program, e.placement.outlook)) for e in pool.episodes]
         return pool
 
     def _turned_away(self, one: _Try, most_of_label: int) -> str | None:
@@ -379,7 +376,7 @@ class _Filling:
 
     def _draw(self, cell: InstructionCell | None) -> bool:
         """Draw a group, or a few more candidates than a cell still needs. Return whether there are any."""
-        found: list[Sequence[Candidate | Draft]]
+        found: list[Sequence[Candidate]]
         if cell is None:
             group = self._supply.group()
             found = [group] if group else []
@@ -388,8 +385,8 @@ class _Filling:
             golds = [k for k in range(SHAPES[cell.category].leaves) for _ in range(most - taken[k])]
             count = math.ceil(DRAWN_PER_PLACE * (cell.count - self._taken[cell]))
             found = [[one] for one in self._supply.more(cell, count, golds, self._lacking(cell))]
-        for drafts in found:
-            one = _Try(drafts, self._number)
+        for members in found:
+            one = _Try(members)
             self._tries.append(one)
             self._wait(one)
         return bool(found)
@@ -462,10 +459,25 @@ class _Filling:
                 fit=fit,
                 lengths=lengths,
                 members=[member.program for member in one.members],
+                look=None if self._looking is None else partial(self._look, one),
             )
         except Rejected as rejected:
             return rejected.reason
         return None
+
+    def _look(self, one: _Try, routes: Routes) -> None:
+        """Find the looking paths of all candidates in `one`.
+
+        Raises
+        ------
+        Rejected : a leaf has none
+        """
+        assert self._looking is not None, "looking paths are asked for"
+        one.looking = []
+        for member in one.members:
+            objects, leaves = zip(*[(routes.objects[k], routes.leaves[k]) for k in one.order(member)], strict=True)
+            own = replace(routes, objects=objects, leaves=leaves)
+            one.looking.append(self._looking.path(member.program, own, member.gold))
 
     def _count(self, one: _Try, by: int) -> None:
         """Count the candidates in `one` towards the quotas (`by` = 1), or no longer count them (`by` = −1)."""
@@ -497,7 +509,7 @@ class _Filling:
         def fit(outlook: Outlook) -> float | None:
             for turn in turns:
                 yaw = math.remainder(outlook.yaw + turn, 2 * math.pi)
-                if observer.observe([(program, replace(outlook, yaw=yaw))])[0].fits(asked):
+                if observer.observe(program, replace(outlook, yaw=yaw)).fits(asked):
                     return yaw
             return None
 

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.compiled import register_warm_up
 from condvln.episodes.footprint import Footprints
+from condvln.episodes.kernels.distances import apart_objects
 from condvln.episodes.kernels.starts import (
     DETOUR,
     FITS,
     FULL,
     OUT_OF_RANGE,
-    REFUSALS,
     TOO_FAR,
     Bounds,
     KnownWays,
@@ -26,15 +26,77 @@ from condvln.episodes.kernels.starts import (
     possible_starts,
     put_keys,
 )
-from condvln.episodes.routes import GoalField, Route
 from condvln.navigation.kernels.projection import ANY_ISLAND, project
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.points import many_points
 
-__all__ = ["FoundLeaf", "FoundStart", "Leaves", "Starts"]
+__all__ = [
+    "FoundLeaf",
+    "FoundStart",
+    "GoalField",
+    "Leaves",
+    "Route",
+    "Starts",
+]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Route:
+    """The path from a start through a leaf's stops.
+
+    stops : (m, 3) the chosen point of each move, the last one the goal
+    path : (n, 3) corner points rounded to 1 mm
+    length : metres along the path through the stops
+    """
+
+    stops: F64
+    path: F64
+    length: float
+
+
+class GoalField:
+    """The goal points of a scene's objects.
+
+    Attributes
+    ----------
+    goals : goal points (k, 3) by object id
+    points : (p, 3) those of all objects, in the order of ``goals``
+    first : (n + 1,) index of the first point of each of the n objects
+    """
+
+    def __init__(self, pathfinder: Pathfinder, goals: Mapping[str, F64]) -> None:
+        self.pathfinder = pathfinder
+        self.goals = dict(goals)
+        self.points = np.concatenate([*self.goals.values(), np.empty((0, 3))])
+        counts = [len(points) for points in self.goals.values()]
+        self.first = np.cumsum([0, *counts], dtype=np.int64)
+        self._apart: dict[float, Bools] = {}
+
+    def __contains__(self, object_id: str) -> bool:
+        return object_id in self.goals
+
+    def apart(self, least: float) -> Bools:
+        """Return a mask (n, n) of the pairs of objects, in the order of ``goals``, whose goal points are at least
+        `least` metres apart, by the geodesic distances in both directions. No object is apart from itself.
+
+        Both directions count: Detour's path from a to b may be up to 2 m longer than its path from b to a on real
+        navmeshes.
+        """
+        if least not in self._apart:  # drawing and placing ask the same
+            mesh, asked = self.pathfinder.query_mesh, many_points(self.points)
+            self._apart[least] = apart_objects(mesh, asked, *project(mesh, asked, ANY_ISLAND), self.first, least)
+        return self._apart[least]
+
+    def gap(self, one: int, other: int) -> float:
+        """Return the least geodesic distance in metres between the goal points of two objects, in either direction."""
+        here, there = (self.points[self.first[k] : self.first[k + 1]] for k in (one, other))
+        ways = (self.pathfinder.distance_table(*ends) for ends in ((here, there), (there, here)))
+        return min(float(np.where(np.isnan(table), np.inf, table).min()) for table in ways)
+
 
 WAYS, CORNERS = 4096, 1 << 15
 """Room for ways and their corners at first; it is doubled when it is full."""
@@ -180,20 +242,3 @@ class Starts:
             if name not in ("keys", "ways", "used")
         }
         self._known = known._replace(keys=keys, ways=ways, **larger)
-
-
-def _warm_up() -> None:
-    from condvln.navigation.polygon_tile import tile_of_polygons
-
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], np.float32)
-    pathfinder = Pathfinder.from_tile(tile_of_polygons(square, [[0, 1, 2], [0, 2, 3]]))
-    goals = GoalField(pathfinder, {"a": np.array([[0.9, 0, 0.5]]), "b": np.array([[0.1, 0, 0.1]])})
-    goals.apart(0.1)
-    starts = Starts(pathfinder, goals, np.array([[0.1, 0.0, 0.5]]), Footprints([]))
-    leaves = Leaves([[0, 1]])
-    starts.possible(leaves, Bounds(0.1, 0.1, 1.0, 2.0, 4.0, *ANY_LENGTH))
-    starts.first_fit(leaves, np.zeros(1, np.int64), 0.1, None, np.zeros(len(REFUSALS), np.int64))
-    starts._make_room()
-
-
-register_warm_up("starts of episodes", _warm_up)

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from condvln.episodes.candidates import Candidate, CandidateSupply, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals, wide_islands
 from condvln.episodes.graph_placing import GraphPlacer, NotOnGraph, viewpoint_stops
+from condvln.episodes.looking import LookingPaths
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer, reachable_stops
 from condvln.episodes.pool import EpisodePool, fill_pool
@@ -26,9 +27,10 @@ from condvln.instructions import (
 )
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.sight import Recognition
 from condvln.relations import TextFacts
 from condvln.scene import Scene
-from condvln.scene.sightings import Sightings
+from condvln.scene.scene import Sightings
 from schemas.config import (
     EpisodeConfig,
     GoalsConfig,
@@ -88,13 +90,14 @@ class PlacedPrograms:
     rejections: Rejections
 
 
-def look_around(scene: Scene, walkable: Walkable, *, eye_height: float, island_radius: float) -> list[Visibility]:
+def look_around(scene: Scene, walkable: Walkable, places: PlacesConfig, recognition: Recognition) -> list[Visibility]:
     """Return the visibility of every object that is not part of the building, from the positions in its room at which
-    an agent can stand. `eye_height` and `island_radius` are in metres.
+    an agent can stand.
     """
-    islands = wide_islands(walkable.pathfinder, PlacesConfig(island_radius=island_radius))
+    islands = wide_islands(walkable.pathfinder, places)
     obstacles = blocked_footprints(scene, walkable.pathfinder, walkable.max_climb)
-    return list(scene_visibility(scene, walkable.view, walkable.pathfinder, islands, eye_height, obstacles))
+    pathfinder, height = walkable.pathfinder, places.eye_height
+    return list(scene_visibility(scene, walkable.view, pathfinder, islands, height, recognition, obstacles))
 
 
 def draw_programs(
@@ -213,7 +216,8 @@ def place_programs(
 
     def reachable(named: frozenset[str]) -> Stops:
         obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
-        points = scene_goals(scene, pathfinder, places, goals, obstacles, walkable.view, named)
+        sight = walkable.view, Recognition.of(places, rules)
+        points = scene_goals(scene, pathfinder, places, goals, obstacles, sight, named)
         placer = Placer(
             scene,
             pathfinder,
@@ -233,15 +237,17 @@ def place_programs(
         scene, facts, bits, instructions, sampling, seed, stops=reachable, preamble=preamble, sightings=sightings
     )
     (placer,) = placers
+    observer = Observer(scene, walkable.view, pathfinder, places, rules, placer.obstacles, sightings=sightings)
     pool = fill_pool(
         CandidateSupply(sampler),
         placer,
         instructions.wanted,
         instructions.label_cap,
         lambda program: preamble and names_compass(program),
-        Observer(scene, walkable.view, pathfinder, places, rules, placer.obstacles, sightings=sightings),
+        observer,
         instructions.counterfactual_groups,
         lambda category: (sampling.move_shares(category), sampling.drawn_move_shares(category)),
+        LookingPaths(scene, walkable.view, pathfinder, places, rules, observer),
     )
     pool.reject_collisions(scene.scene_id)
     return PlacedPrograms(pool, sampler.rejections)

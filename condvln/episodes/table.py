@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import accumulate
 from typing import Any, Final
 
-import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from condvln.episodes.candidates import Candidate, cell_name
 from condvln.episodes.identity import content_hash, numeric_id
+from condvln.episodes.looking import LookingPath
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
-from condvln.episodes.pool import EpisodePool
+from condvln.episodes.pool import EpisodePool, PooledEpisode
 from condvln.scene import round_mm
 from schemas.config import InstructionCell, StepBudget
 from schemas.config.constants import GROUP_SIZE
-from schemas.tables import EPISODES, FUNNEL, QUATERNION, REJECTIONS, VEC3
+from schemas.tables import EPISODES, FUNNEL, REJECTIONS
 
 __all__ = [
+    "LOOKING_COLUMNS",
     "PLACEMENTS",
     "TEXT_COLUMNS",
     "funnel_table",
@@ -30,10 +30,14 @@ __all__ = [
 ]
 
 TEXT_COLUMNS: Final = ("words", "max_steps", "instruction_text")
+LOOKING_COLUMNS: Final = (
+    "looking_path", "looking_length", "looking_actions", "looking_decided", "looking_locations",
+)  # fmt: skip
+"""Columns of the looking path; null where there is none."""
 PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS])
 """Schema of the episodes table without the columns that depend on the wording."""
 
-_POINTS: Final = pa.list_(VEC3)
+Row = dict[str, Any]
 
 
 def placements_table(
@@ -42,119 +46,87 @@ def placements_table(
     """Return the pool's episodes as PLACEMENTS rows. `compositions` has the composition of each instruction, by
     instruction id.
     """
-    episodes = pool.episodes
-    names = [content_hash(scene_id, e.instruction_id, e.placement.start, e.placement.yaw) for e in episodes]
-    programs, placements = [e.program for e in episodes], [e.placement for e in episodes]
-    golds = [program.gold_leaf() for program in programs]
-    gold = [placement.leaves[k] for placement, k in zip(placements, golds, strict=True)]
-    stated = [program.leaves[k] for program, k in zip(programs, golds, strict=True)]
-    rotations = np.array([yaw_quaternion(placement.yaw) for placement in placements]).reshape(-1, 4)
-    places = [leaf.walk.locations for leaf in gold]
-    columns: dict[str, Any] = {
-        "scene_id": [scene_id] * len(episodes),
-        "episode_id": [numeric_id(name) for name in names],
-        "episode_hash": names,
-        "instruction_id": [e.instruction_id for e in episodes],
-        "group_id": [e.candidate.group_id for e in episodes],
-        "category": [program.category for program in programs],
-        "composition": [compositions[e.instruction_id] for e in episodes],
-        **_seen([e.observation for e in episodes]),
-        "gold_leaf": golds,
-        "n_leaves": [len(program.leaves) for program in programs],
-        "gold_label": [leaf.goal.label for leaf in stated],
-        "moves": [len(leaf.moves) for leaf in stated],
-        "start_position": _points(_stacked([placement.start[None] for placement in placements])),
-        "start_rotation": _structs(QUATERNION, [pa.array(values) for values in rotations.T]),
-        "start_heading_degrees": [heading_degrees(placement.yaw) for placement in placements],
-        "geodesic_distance": [leaf.geodesic_distance for leaf in gold],
-        "route_length": [leaf.route.length for leaf in gold],
-        "leaves": _lists(
-            PLACEMENTS.field("leaves").type,
-            [len(placement.leaves) for placement in placements],
-            _leaves([placement.leaves for placement in placements]),
-        ),
-        "success_distance": [placement.success_distance for placement in placements],
-        "ground_truth_steps": [placement.steps for placement in placements],
-        "actions": _lists(
-            PLACEMENTS.field("actions").type,
-            [len(leaf.walk.actions) for leaf in gold],
-            pa.array(np.concatenate([np.empty(0, np.int8), *(leaf.walk.actions for leaf in gold)])),
-        ),
-        "locations": _lists(_POINTS, list(map(len, places)), _points(round_mm(_stacked(places)))),
-        "navmesh_sha256": [navmesh_sha256] * len(episodes),
-    }
-    arrays = [
-        columns[f.name] if isinstance(columns[f.name], pa.Array) else pa.array(columns[f.name], f.type)
-        for f in PLACEMENTS
+    rows = [
+        {
+            "scene_id": scene_id,
+            "composition": compositions[episode.instruction_id],
+            "navmesh_sha256": navmesh_sha256,
+            **_placement(scene_id, episode),
+            **_seen(episode.observation),
+            **_looking(episode.looking),
+        }
+        for episode in pool.episodes
     ]
-    return pa.table(arrays, schema=PLACEMENTS)
+    return pa.Table.from_pylist(rows, schema=PLACEMENTS)
 
 
-def _seen(observations: Sequence[Observation | None]) -> dict[str, Any]:
-    """Return the columns of what was observed, null where nothing was."""
-    of = PLACEMENTS.field("evidence").type
-    found = [one for seen in observations if seen is not None for one in seen.evidence]
-    columns = (
-        [one.condition for one in found],
-        [one.observability for one in found],
-        [one.in_view for one in found],
-    )
-    evidence = [pa.array(values, f.type) for values, f in zip(columns, of.value_type, strict=True)]
+def _placement(scene_id: str, episode: PooledEpisode) -> Row:
+    """Return the columns that follow from the program and its placement."""
+    program, placement = episode.program, episode.placement
+    name = content_hash(scene_id, episode.instruction_id, placement.start, placement.yaw)
+    gold = program.gold_leaf()
+    stated, placed = program.leaves[gold], placement.leaves[gold]
     return {
-        "observability": [None if seen is None else seen.observability for seen in observations],
-        "evidence_in_view": [None if seen is None else seen.in_view for seen in observations],
-        "observability_approximate": [None if seen is None else seen.approximate for seen in observations],
-        "evidence": _lists(
-            of,
-            [None if seen is None else len(seen.evidence) for seen in observations],
-            _structs(of.value_type, evidence),
-        ),
+        "episode_id": numeric_id(name),
+        "episode_hash": name,
+        "instruction_id": episode.instruction_id,
+        "group_id": episode.candidate.group_id,
+        "category": program.category,
+        "gold_leaf": gold,
+        "n_leaves": len(program.leaves),
+        "gold_label": stated.goal.label,
+        "moves": len(stated.moves),
+        "start_position": _points(placement.start[None])[0],
+        "start_rotation": dict(zip("xyzw", yaw_quaternion(placement.yaw), strict=True)),
+        "start_heading_degrees": heading_degrees(placement.yaw),
+        "geodesic_distance": placed.geodesic_distance,
+        "route_length": placed.route.length,
+        "leaves": [_leaf(k, leaf) for k, leaf in enumerate(placement.leaves)],
+        "success_distance": placement.success_distance,
+        "ground_truth_steps": placement.steps,
+        "actions": placed.walk.actions.tolist(),
+        "locations": _points(round_mm(placed.walk.locations)),
     }
 
 
-def _leaves(placed: Sequence[Sequence[PlacedLeaf]]) -> pa.Array:
-    """Return the leaves of several placements as structs, one after the other."""
-    of = PLACEMENTS.field("leaves").type.value_type
-    leaves = [leaf for own in placed for leaf in own]
-    stop = of.field("subgoals").type.value_type
-    names = [name for leaf in leaves for name in leaf.objects[:-1]]
-    stops = _stacked([leaf.route.stops[:-1] for leaf in leaves])
-    goals, paths = [leaf.goals for leaf in leaves], [leaf.route.path for leaf in leaves]
-    subgoals = _structs(stop, [pa.array(names, pa.string()), _points(stops)])
-    columns: dict[str, Any] = {
-        "leaf": [k for own in placed for k in range(len(own))],
-        "object_id": [leaf.objects[-1] for leaf in leaves],
-        "goals": _lists(_POINTS, list(map(len, goals)), _points(_stacked(goals))),
-        "subgoals": _lists(of.field("subgoals").type, [len(leaf.objects) - 1 for leaf in leaves], subgoals),
-        "reference_path": _lists(_POINTS, list(map(len, paths)), _points(_stacked(paths))),
-        "geodesic_distance": [leaf.geodesic_distance for leaf in leaves],
-        "route_length": [leaf.route.length for leaf in leaves],
+def _seen(observation: Observation | None) -> Row:
+    """Return the columns of what was observed, null where nothing was."""
+    if observation is None:
+        return {}
+    return {
+        "observability": observation.observability,
+        "evidence_in_view": observation.in_view,
+        "observability_approximate": observation.approximate,
+        "evidence": [one.model_dump() for one in observation.evidence],
     }
-    arrays = [
-        columns[f.name] if isinstance(columns[f.name], pa.Array) else pa.array(columns[f.name], f.type) for f in of
-    ]
-    return _structs(of, arrays)
 
 
-def _stacked(parts: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
-    """Return points (n, 3) one after the other."""
-    return np.concatenate([np.empty((0, 3)), *parts])
+def _looking(found: LookingPath | None) -> Row:
+    """Return the columns of the looking path, null without one."""
+    if found is None:
+        return {}
+    walked = found.actions.tolist(), list(found.decided), _points(found.locations)
+    values = _points(found.path), found.length, *walked
+    return dict(zip(LOOKING_COLUMNS, values, strict=True))
 
 
-def _points(values: NDArray[np.float64]) -> pa.Array:
-    """Return points (n, 3) as structs."""
-    return _structs(VEC3, [pa.array(axis) for axis in values.T])
+def _leaf(number: int, leaf: PlacedLeaf) -> Row:
+    *stops, goal = leaf.objects
+    places = _points(leaf.route.stops)
+    return {
+        "leaf": number,
+        "object_id": goal,
+        "goals": _points(leaf.goals),
+        "subgoals": [{"object_id": k, "position": place} for k, place in zip(stops, places[:-1], strict=True)],
+        "reference_path": _points(leaf.route.path),
+        "geodesic_distance": leaf.geodesic_distance,
+        "route_length": leaf.route.length,
+    }
 
 
-def _structs(kind: pa.DataType, arrays: Sequence[pa.Array]) -> pa.Array:
-    return pa.StructArray.from_arrays(arrays, fields=list(kind))
-
-
-def _lists(kind: pa.DataType, sizes: Sequence[int | None], values: pa.Array) -> pa.Array:
-    """Return lists of these sizes that hold the values one after the other; None is a null without values."""
-    ends = list(accumulate((size or 0 for size in sizes), initial=0))
-    begins = [None if size is None else end for size, end in zip(sizes, ends, strict=False)]
-    return pa.ListArray.from_arrays(pa.array([*begins, ends[-1]], pa.int32()), values, type=kind)
+def _points(values: NDArray[Any]) -> list[dict[str, float]]:
+    """Return points (n, 3) as rows."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in values.tolist()]
 
 
 def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBudget, steps_per_word: int) -> pa.Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,10 +9,10 @@ from numpy.typing import NDArray
 
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
-from condvln.navigation.sight import Look, SightTarget, View, in_view, visible_points, visible_to_each
+from condvln.navigation.sight import Recognition, SightTarget, View, in_view, visible_extent, visible_points
 from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.scene import STRUCTURE, SceneGeometry
 from schemas.config.constants import FRAME_HEADROOM
 
 __all__ = ["SceneView"]
@@ -22,15 +21,6 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _STRUCTURE_KIND: Final = "structure"
-
-FIRST_LOOKS: Final = 8
-"""Stride of the sample points that are tested first, before all of them."""
-
-LOOK_TURNS: Final = 8
-"""Number of turns in which the lines between eyes and sample points are tested where single lines do not matter."""
-
-LOOKS_AT_ONCE: Final = 1 << 18
-"""Number of such lines at once: tens of megabytes of temporaries."""
 
 
 class SceneView:
@@ -118,73 +108,25 @@ class SceneView:
         """
         return visible_points(self._occluders, eyes, target.samples, view, own=target.owners)
 
-    def seen_by_each(self, looks: Sequence[Look]) -> Iterator[Bools]:
-        """Yield for each look, in any direction, the mask (n, k) that `seen` returns."""
-        begin = end = count = 0
-        while begin < len(looks):
-            while end < len(looks) and (end == begin or count < LOOKS_AT_ONCE):
-                count += len(looks[end].eyes) * len(looks[end].target.samples)
-                end += 1
-            yield from visible_to_each(self._occluders, looks[begin:end])
-            begin, count = end, 0
+    def recognised(self, eyes: F64, object_id: str, rule: Recognition) -> Bools:
+        """Return a mask (n,) of the `eyes` (n, 3) from which an object is recognised, in any direction."""
+        return self.degrees(eyes, object_id, rule) > 0
 
-    def sighted(self, eyes: F64, targets: Sequence[SightTarget], view: View) -> Iterator[tuple[Bools, Bools]]:
-        """Yield for each of the `targets` two masks: which of the `eyes` (n, 3) see any of its k samples (n,), and
-        which of these samples are visible from any of the eyes (k,).
+    def degrees(self, eyes: F64, object_id: str, rule: Recognition) -> F64:
+        """Return the shorter side (n,) of an object's rectangle in degrees (:func:`visible_extent`); 0 for eyes that
+        don't recognise the object.
 
-        Lines are tested in turns, evenly spread over eyes and samples; a line is left out if something is already seen
-        from its eye, and its sample from another eye. The masks are those of `seen`, which tests all lines.
+        Rays are cast from those eyes only that would recognise it if nothing were in the way.
         """
-        most = max(1, LOOKS_AT_ONCE // max(1, len(eyes)))
-        begin = end = count = 0
-        while begin < len(targets):
-            while end < len(targets) and (end == begin or count + len(targets[end].samples) <= most):
-                count += len(targets[end].samples)
-                end += 1
-            yield from self._sighted(eyes, targets[begin:end], view)
-            begin, count = end, 0
-
-    def _sighted(self, eyes: F64, targets: Sequence[SightTarget], view: View) -> Iterator[tuple[Bools, Bools]]:
-        sizes = [len(target.samples) for target in targets]
-        points = np.concatenate([target.samples for target in targets])
-        own = np.concatenate([target.owners for target in targets])
-        target_of = np.repeat(np.arange(len(targets)), sizes)
-        left = in_view(eyes, points, view)
-        by_eye, by_point = np.zeros((len(eyes), len(targets)), bool), np.zeros(len(points), bool)
-        eye_of, point_of = np.nonzero(left)
-        turns = ((eye_of + point_of) % LOOK_TURNS).astype(np.uint8)
-        order, ends = np.argsort(turns, kind="stable"), np.cumsum(np.bincount(turns, minlength=LOOK_TURNS))
-        for lines in np.split(order, ends[:-1]):
-            eye, point = eye_of[lines], point_of[lines]
-            wanted = ~(by_point[point] & by_eye[eye, target_of[point]])
-            eye, point = eye[wanted], point[wanted]
-            clear = ~self._occluders.hidden(eyes[eye], points[point], own[point])
-            by_eye[eye[clear], target_of[point[clear]]] = True
-            by_point[point[clear]] = True
-        yield from zip(by_eye.T, np.split(by_point, np.cumsum(sizes)[:-1]), strict=True)
-
-    def glimpsed(self, eyes: F64, object_id: str, view: View) -> Bools:
-        """Return a mask (n,) of the `eyes` (n, 3) from which any sample point of an object is visible."""
-        return self.glimpsed_each([eyes], [object_id], view)[0]
-
-    def glimpsed_each(self, eyes: Sequence[F64], object_ids: Sequence[str], view: View) -> list[Bools]:
-        """Return for each object a mask (n,) of its own eyes (n, 3) from which any of its sample points is visible, in
-        any direction.
-
-        A few samples are tested first, since they decide most cases.
-        """
-        seen = [np.zeros(len(places), dtype=bool) for places in eyes]
-        for stride in (FIRST_LOOKS, 1):
-            asked = [(mask, rows) for mask in seen if len(rows := np.flatnonzero(~mask))]
-            looks = list[Look]()
-            for places, name, mask in zip(eyes, object_ids, seen, strict=True):
-                if not mask.all():
-                    target = self.target(name)
-                    part = SightTarget(target.samples[::stride], target.owners[::stride])
-                    looks.append(Look(places[~mask], part, view))
-            for (mask, rows), found in zip(asked, self.seen_by_each(looks), strict=True):
-                mask[rows] = found.any(axis=1)
-        return seen
+        target = self.target(object_id)
+        near = in_view(eyes, target.samples, rule.view)
+        able = np.flatnonzero(rule.holds(near, visible_extent(eyes, target.samples, near)))
+        found = np.zeros(len(eyes))
+        if len(able):
+            visible = self.seen(eyes[able], target, rule.view)
+            extent = visible_extent(eyes[able], target.samples, visible)
+            found[able] = np.where(rule.holds(visible, extent), extent[:, 0], 0.0)
+        return found
 
 
 def _boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:

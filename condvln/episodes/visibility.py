@@ -1,8 +1,9 @@
 """Compute which objects an agent can see, at its eye height, from at least one standing position in the object's room.
 
-An object is *seeable* if so large a share of its surface is visible that other sample points would give the same
-result. It is *unseen* if none of many sample points is visible from any position. In between it is neither: text does
-not mention it, nor make statements whose truth could depend on it.
+An object is *seeable* if a level camera recognises it from several positions, and so large a share of its surface is
+visible that other sample points would give the same result. It is *unseen* if none of many sample points is visible
+from any position. In between it is neither: text does not mention it, nor make statements whose truth could depend on
+it.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from condvln.episodes.footprint import Footprint
 from condvln.episodes.view import SceneView
 from condvln.labels import Vocabulary, vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.navigation.sight import View, eyes_at
+from condvln.navigation.sight import Recognition, View, eyes_at, in_view, visible_extent
 from condvln.scene import Scene, SceneObject
-from condvln.scene.sightings import Sightings
-from schemas.config.constants import SEEABLE_PLACES, SEEABLE_SHARE
+from condvln.scene.scene import Sightings
+from schemas.config.constants import SEEABLE_IN_FRAME, SEEABLE_PLACES, SEEABLE_SHARE
 from schemas.tables import VISIBILITY
 
 __all__ = ["Visibility", "scene_visibility", "sightings_from_table", "visibility_table"]
@@ -47,6 +48,7 @@ class Visibility:
     from_places : number of positions from which some of it is visible
     share : share of its surface that is visible from all positions together
     nearest_view : horizontal metres from its centre to the nearest position that sees it; None if there is none
+    degrees : how large it appears (`SceneView.degrees`) from the best of the positions; None if it is not recognised
     seeable, unseen : see the module; never both
     """
 
@@ -55,6 +57,7 @@ class Visibility:
     from_places: int
     share: float
     nearest_view: float | None
+    degrees: float | None
     seeable: bool
     unseen: bool
 
@@ -65,6 +68,7 @@ def scene_visibility(
     pathfinder: PathfinderProtocol,
     islands: Sequence[int],
     eye_height: float,
+    rule: Recognition,
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
     words: Vocabulary = vocabulary,
 ) -> list[Visibility]:
@@ -74,6 +78,7 @@ def scene_visibility(
 
     islands : navmesh islands that episodes may use
     eye_height : metres above the floor
+    rule : when an object is recognised
     obstacles : furniture that the navmesh ignores; no agent stands in it
     """
     things = _things(scene, words)
@@ -82,13 +87,18 @@ def scene_visibility(
         eyes = eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
         few = eyes[np.unique(np.linspace(0, len(eyes) - 1, min(FIRST_PLACES, len(eyes))).round().astype(int))]
         open_ones = [item for item in things if item.room_id == room.room_id and not item.hidden]
-        targets = [view.target(item.object_id) for item in open_ones]
-        for item, sights in zip(open_ones, view.sighted(few, targets, _ANY_DISTANCE), strict=True):
-            found[item.object_id] = _visibility(item, few, *sights)
-        unsure = [item for item in open_ones if not found[item.object_id].seeable] if len(eyes) else []
-        denser = [view.denser_target(item.object_id, CLOSE_SAMPLES) for item in unsure]
-        for item, sights in zip(unsure, view.sighted(eyes, denser, _ANY_DISTANCE), strict=True):
-            found[item.object_id] = _visibility(item, eyes, *sights)
+        for item in open_ones:
+            target = view.target(item.object_id)
+            looked, lines = few, view.seen(few, target, _ANY_DISTANCE)
+            near = lines & in_view(few, target.samples, rule.view)
+            extent = visible_extent(few, target.samples, near)
+            one = _visibility(item, looked, lines, np.where(rule.holds(near, extent), extent[:, 0], 0.0))
+            if not one.seeable and len(eyes):
+                if one.share < SEEABLE_SHARE or one.from_places < SEEABLE_PLACES:
+                    denser = view.denser_target(item.object_id, CLOSE_SAMPLES)
+                    looked, lines = eyes, view.seen(eyes, denser, _ANY_DISTANCE)
+                one = _visibility(item, looked, lines, view.degrees(eyes, item.object_id, rule))
+            found[item.object_id] = one
     return [found.get(item.object_id) or _from_nowhere(item) for item in things]
 
 
@@ -100,24 +110,28 @@ def _things(scene: Scene, words: Vocabulary) -> list[SceneObject]:
 
 def _from_nowhere(item: SceneObject) -> Visibility:
     """Return the visibility of an object that nothing can be seen of, or whose room is unknown."""
-    return _visibility(item, np.empty((0, 3)), np.zeros(0, bool), np.zeros(1, bool))
+    return _visibility(item, np.empty((0, 3)), np.zeros((0, 1), bool), np.empty(0))
 
 
-def _visibility(item: SceneObject, eyes: F64, from_eye: Bools, seen: Bools) -> Visibility:
-    """Return the visibility of an object. `from_eye` (n,) says which of the `eyes` (n, 3) see something of it, and
-    `seen` (k,) which of its sample points are visible at all.
+def _visibility(item: SceneObject, eyes: F64, lines: Bools, degrees: F64) -> Visibility:
+    """Return the visibility of an object. `lines` (n, k) says which of its k sample points each of the `eyes` (n, 3)
+    sees, `degrees` (n,) how large it appears from each; 0 where it is not recognised.
     """
-    seeing = eyes[from_eye]
+    seeing, seen = eyes[lines.any(axis=1)], lines.any(axis=0)
     away = seeing - item.center
     square = away[:, 0] * away[:, 0] + away[:, 2] * away[:, 2]
     share = float(seen.mean())
+    # Looking walks look from places that are farther apart than those tested here.
+    least = min(SEEABLE_PLACES, len(eyes))
+    enough = len(seeing) >= least and int(np.count_nonzero(degrees)) >= max(least, SEEABLE_IN_FRAME * len(degrees))
     return Visibility(
         object_id=item.object_id,
         places=len(eyes),
         from_places=len(seeing),
         share=round(share, 3),
         nearest_view=round(math.sqrt(float(square.min())), 3) if len(away) else None,
-        seeable=bool(share >= SEEABLE_SHARE and len(seeing) >= min(SEEABLE_PLACES, len(eyes))),
+        degrees=round(float(degrees.max()), 2) if degrees.any() else None,
+        seeable=share >= SEEABLE_SHARE and enough,
         unseen=not seen.any(),
     )
 
@@ -142,6 +156,7 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
                 "from_places": one.from_places,
                 "share": one.share,
                 "nearest_view": one.nearest_view,
+                "degrees": one.degrees,
             }
             for one in found
         ]
@@ -149,11 +164,12 @@ def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vo
 
 
 def sightings_from_table(table: pa.Table) -> Sightings:
-    """Return, from the visibility table, the ids of the objects that can't be seen and the ids of those whose
-    visibility is in doubt. Both sets are empty if the table's visibility values are null.
+    """Return, from the visibility table, the ids of the objects that can't be seen, the ids of those whose visibility
+    is in doubt, and how large the others appear. All are empty if the table's visibility values are null.
     """
-    columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen"]).to_pydict()
+    columns: Mapping[str, list[Any]] = table.select(["object_id", "seeable", "unseen", "degrees"]).to_pydict()
     rows = list(zip(*columns.values(), strict=True))
-    unseen = frozenset(name for name, _, out_of_sight in rows if out_of_sight)
-    doubtful = frozenset(name for name, seeable, _ in rows if seeable is False)
-    return Sightings(unseen, doubtful - unseen)
+    unseen = frozenset(name for name, _, out_of_sight, _ in rows if out_of_sight)
+    doubtful = frozenset(name for name, seeable, _, _ in rows if seeable is False)
+    degrees = {name: float(side) for name, _, _, side in rows if side is not None}
+    return Sightings(unseen, doubtful - unseen, degrees)

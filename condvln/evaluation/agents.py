@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
 from condvln.evaluation.walker import heading_of
-from condvln.export.densify import densify
 from condvln.navigation.follower import VLN_CE, Follower
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.points import densify
 from condvln.seeding import generator
 from schemas.config.constants import PATH_SPACING
 from schemas.errors import UsageError
@@ -35,11 +36,14 @@ class Agent(Protocol):
 def walk_to_leaf(task: Task, pathfinder: Pathfinder, leaf: int) -> Prediction:
     """Walk through the leaf's subgoals to the goal at the end of its path and stop there, within the step budget."""
     target = task.leaves[leaf]
-    heading = heading_of(task.start_rotation)
-    follower = Follower(pathfinder, VLN_CE)
-    route = follower.follow(task.start, heading, np.vstack([target.subgoals, target.end]))
-    actions = route.actions[: task.max_steps]
-    poses = follower.walk(task.start, heading, actions)
+    heading, stops = heading_of(task.start_rotation), np.vstack([target.subgoals, target.end])
+    return _taken(task, pathfinder, Follower(pathfinder, VLN_CE).follow(task.start, heading, stops).actions)
+
+
+def _taken(task: Task, pathfinder: Pathfinder, actions: npt.ArrayLike) -> Prediction:
+    """Take actions from the start, within the step budget."""
+    actions = np.asarray(actions, np.int8)[: task.max_steps]
+    poses = Follower(pathfinder, VLN_CE).walk(task.start, heading_of(task.start_rotation), actions)
     stopped = len(actions) > 0 and actions[-1] == 0
     positions = poses.positions.astype(np.float64)
     return Prediction(task.episode_id, positions, bool(stopped), True, None, poses.headings)
@@ -48,7 +52,16 @@ def walk_to_leaf(task: Task, pathfinder: Pathfinder, leaf: int) -> Prediction:
 def perfect(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
     """Follow the gold leaf's reference path in steps of 0.25 m, without regard to headings."""
     points = densify(task.gold.path, PATH_SPACING)
-    return Prediction(task.episode_id, points, True, False, None, np.zeros(len(points)))
+    return Prediction(task.episode_id, points, True, False)
+
+
+def looking(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
+    """Walk along the looking path, which sees the evidence of each condition before it acts on it; where an episode has
+    none, walk as ``oracle`` does.
+    """
+    if task.looking is None:
+        return oracle(task, pathfinder, seed)
+    return _taken(task, pathfinder, task.looking.actions)
 
 
 def oracle(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
@@ -102,6 +115,7 @@ def stop_at_start(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
 
 AGENTS: Final[Mapping[str, Agent]] = {
     "perfect": perfect,
+    "looking": looking,
     "oracle": oracle,
     "wrong-branch": wrong_branch,
     "random-leaf": random_leaf,
@@ -122,7 +136,9 @@ def agent_named(name: str) -> Agent:
     UsageError : there is no agent of this name
     """
     if name not in AGENTS:
-        raise UsageError(f"no agent {name!r}", remedy=f"Choose one of {', '.join(AGENTS)}")
+        raise UsageError(
+            f"no agent {name!r}", remedy=f"Choose one of {', '.join(AGENTS)}, looker, or your own module:Class"
+        )
     return AGENTS[name]
 
 

@@ -3,27 +3,42 @@
 The definitions are those of R2R's ``eval.py``: distances are shortest paths in the graph, an episode succeeds if its
 last viewpoint is less than 3 m from the goal, and there is no STOP flag. nDTW and CLS use the same distances, as the
 evaluators of discrete agents do.
+
+If an R2R file belongs to an export, its manifest gives the branches and axes. Another R2R file gets R2R's own measures,
+grouped by scan.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, StrictInt, StrictStr, TypeAdapter, ValidationError
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
-from condvln.evaluation.kernels.alignment import dtw_of_costs
-from condvln.evaluation.measures import FIDELITY_DISTANCE, NO_LEAF, committed_leaf, length_weighted, spl
+from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation
+from condvln.evaluation.measures import (
+    FIDELITY_DISTANCE,
+    NO_LEAF,
+    committed_leaf,
+    dtw_of_costs,
+    length_weighted,
+    prefix_in_order,
+    spl,
+)
 from condvln.evaluation.predictions import GraphPrediction
-from condvln.export.r2r import ERROR_MARGIN
+from condvln.evaluation.score import Score, ScoreRules, branch_measures
+from condvln.evaluation.task import Task
+from condvln.export.viewpoints import ERROR_MARGIN
 from condvln.formats.json_entries import document
-from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
+from condvln.navigation.graph_pathfinder import GraphPathfinder, ViewpointGraph, read_connectivity
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = [
@@ -31,8 +46,9 @@ __all__ = [
     "GraphBranches",
     "GraphDistances",
     "GraphEpisode",
-    "GraphScore",
+    "GraphSplit",
     "evaluate_graph",
+    "r2r_file",
     "read_graph_episodes",
 ]
 
@@ -52,6 +68,7 @@ class GraphDistances:
         weights = np.maximum(graph.lengths, np.finfo(float).tiny)
         count = len(graph.ids)
         edges = csr_array((weights, (graph.edges[:, 0], graph.edges[:, 1])), shape=(count, count))
+        self._edges = {frozenset(edge) for edge in graph.edges.tolist()}
         self._table: Table = shortest_path(edges, method="D", directed=False)
 
     @classmethod
@@ -60,7 +77,7 @@ class GraphDistances:
 
         Raises
         ------
-        MissingFileError, FormatError : from :func:`~condvln.navigation.connectivity.read_connectivity`
+        MissingFileError, FormatError : from :func:`~condvln.navigation.graph_pathfinder.read_connectivity`
         """
         return cls(read_connectivity(path))
 
@@ -74,6 +91,10 @@ class GraphDistances:
     def along(self, path: Sequence[int]) -> float:
         """Return the length in metres of a path, with consecutive viewpoints joined by their shortest path."""
         return float(self._table[list(path[:-1]), list(path[1:])].sum())
+
+    def gaps(self, path: Sequence[int]) -> int:
+        """Return the number of steps between different viewpoints that share no edge."""
+        return sum(a != b and frozenset((a, b)) not in self._edges for a, b in pairwise(path))
 
 
 @dataclass(frozen=True)
@@ -89,36 +110,26 @@ class GraphEpisode:
 
 @dataclass(frozen=True)
 class GraphBranches:
-    """The goal viewpoints of all leaves, the index of the gold leaf, and the subgoal viewpoints on the gold path."""
+    """The goal viewpoints of all leaves of a task, and the subgoal viewpoints on its gold path."""
 
+    task: Task
     leaves: tuple[str, ...]
-    gold_leaf: int
     subgoals: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class GraphScore:
-    """Measures of one instruction; lengths in metres, NaN where a measure is undefined.
+_UNDEFINED: Final[dict[str, Any]] = {item.name: NAN for item in fields(Score)}
 
-    ``spl_route`` uses the length of the reference path, which includes the subgoals. BSA and CSR are defined as in
-    :class:`~condvln.evaluation.score.Score`, with graph distances and the same margin.
-    """
 
-    path_length: float
-    navigation_error: float
-    success: float
-    oracle_success: float
-    spl: float
-    ndtw: float
-    sdtw: float
-    cls: float
-    missing: float
-    spl_route: float
-    bsa: float = NAN
-    csr: float = NAN
-    bsa_all: float = NAN
-    csr_all: float = NAN
-    committed_leaf: float = NAN
+class _R2RPath(BaseModel):
+    """An entry of an R2R file."""
+
+    path_id: StrictInt | StrictStr
+    scan: StrictStr
+    path: tuple[StrictStr, ...]
+    instructions: list[Any]
+
+
+_R2R_PATHS: Final = TypeAdapter(list[_R2RPath])
 
 
 def read_graph_episodes(path: Path) -> list[GraphEpisode]:
@@ -128,28 +139,15 @@ def read_graph_episodes(path: Path) -> list[GraphEpisode]:
     ------
     FormatError : the file is not an R2R file
     """
-    records = document(path)
-    if not isinstance(records, list):
-        _refuse(path, "", "the file is not an array of R2R paths", _R2R_REMEDY)
-    found: list[GraphEpisode] = []
-    for number, record in enumerate(records):
-        place = f"entry {number}"
-        if not isinstance(record, dict):
-            _refuse(path, place, "the entry is not an object", _R2R_REMEDY)
-        lacking = [key for key in ("path_id", "scan", "path", "instructions") if key not in record]
-        if lacking:
-            _refuse(path, place, f"the key {lacking[0]!r} is missing", _R2R_REMEDY)
-        name, route = record["path_id"], record["path"]
-        if isinstance(name, bool) or not isinstance(name, int | str):
-            _refuse(path, place, "path_id is neither a whole number nor text", _R2R_REMEDY)
-        if not isinstance(record["scan"], str):
-            _refuse(path, place, "scan is not text", _R2R_REMEDY)
-        if not isinstance(route, list) or not all(isinstance(viewpoint, str) for viewpoint in route):
-            _refuse(path, place, "path is not a list of viewpoint ids", _R2R_REMEDY)
-        if not isinstance(record["instructions"], list):
-            _refuse(path, place, "instructions is not a list", _R2R_REMEDY)
-        count = len(record["instructions"])
-        found += [GraphEpisode(f"{name}_{k}", record["scan"], tuple(route)) for k in range(count)]
+    try:
+        records = _R2R_PATHS.validate_python(document(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place, _, key = ".".join(map(str, first["loc"])).partition(".")
+        _refuse(path, f"entry {place}" if place else "", f"{key}: {first['msg']}".removeprefix(": "), _R2R_REMEDY)
+    found = [
+        GraphEpisode(f"{one.path_id}_{k}", one.scan, one.path) for one in records for k in range(len(one.instructions))
+    ]
     times = Counter(episode.instruction_id for episode in found)
     twice = next((name for name, count in times.items() if count > 1), None)
     if twice is not None:
@@ -164,8 +162,13 @@ def evaluate_graph(
     *,
     margin: float = ERROR_MARGIN,
     where: str = "",
-) -> dict[str, GraphScore]:
+) -> dict[str, Score]:
     """Return the scores by instruction id; instructions without a prediction, or with an empty one, count as failures.
+
+    ``path_length`` joins viewpoints without a common edge, which ``gaps`` counts, by the shortest path; it is NaN where
+    there is none. ``spl_route`` uses the length of the reference path, which includes the subgoals. BSA and CSR use
+    graph distances and the same margin. What needs actions is NaN, and so is the navigation error of a goal that can't
+    be reached.
 
     Raises
     ------
@@ -184,7 +187,7 @@ def evaluate_graph(
         if astray or not task.path:
             what = f"no viewpoint {astray[0]!r} in scan {task.scan}" if astray else "its reference path is empty"
             _refuse("", f"instruction {task.instruction_id}", what)
-    found: dict[str, GraphScore] = {}
+    found: dict[str, Score] = {}
     for prediction in predictions:
         episode = tasks.get(prediction.instruction_id)
         if episode is None:
@@ -205,7 +208,7 @@ def evaluate_graph(
     return {name: found.get(name) or _score(task, (), graphs[task.scan], margin) for name, task in tasks.items()}
 
 
-def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDistances, margin: float) -> GraphScore:
+def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDistances, margin: float) -> Score:
     reference = [graph.numbers[viewpoint] for viewpoint in episode.path]
     missing = not viewpoints
     path = [graph.numbers[viewpoint] for viewpoint in viewpoints or episode.path[:1]]
@@ -217,19 +220,22 @@ def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDista
     fidelity = 0.0 if missing else float(np.exp(-dtw_of_costs(costs) / (len(reference) * FIDELITY_DISTANCE)))
     coverage = float(np.exp(-costs.min(axis=0) / FIDELITY_DISTANCE).mean())
     reference_length = graph.along(reference)
-    return GraphScore(
-        path_length=length,
-        navigation_error=error,
-        success=float(success),
-        oracle_success=float(not missing and (to_goal < margin).any()),
-        spl=spl(success, float(graph.between(reference[:1], reference[-1:])[0, 0]), length),
-        ndtw=fidelity,
-        sdtw=success * fidelity,
-        cls=0.0 if missing else length_weighted(coverage, reference_length, length),
-        missing=float(missing),
-        spl_route=spl(success, reference_length, length),
-        **_branching(episode.branches, path, graph, margin, success=success, missing=missing),
-    )
+    found = {
+        "path_length": length if np.isfinite(length) else NAN,
+        "navigation_error": error if np.isfinite(error) else NAN,
+        "unreachable": float(not np.isfinite(error)),
+        "success": float(success),
+        "oracle_success": float(not missing and (to_goal < margin).any()),
+        "spl": spl(success, float(graph.between(reference[:1], reference[-1:])[0, 0]), length),
+        "ndtw": fidelity,
+        "sdtw": success * fidelity,
+        "cls": 0.0 if missing else length_weighted(coverage, reference_length, length),
+        "missing": float(missing),
+        "spl_route": spl(success, reference_length, length),
+        "gaps": float(graph.gaps(path)),
+    }
+    branches = _branching(episode.branches, path, graph, margin, success=success, missing=missing)
+    return Score(**(_UNDEFINED | found | branches))
 
 
 def _branching(
@@ -246,23 +252,128 @@ def _branching(
     reached, count = 0, len(branches.subgoals)
     if not missing:
         near = graph.between(path, [graph.numbers[viewpoint] for viewpoint in branches.subgoals]) < margin
-        for row in near:
-            while reached < count and row[reached]:
-                reached += 1
-    bsa_all = reached / count if count else float(success)
-    bsa = bsa_all if count or success else NAN
+        reached = prefix_in_order(count, lambda k, at: next((p for p in range(at, len(near)) if near[p, k]), None))
     leaf = NO_LEAF
     if not missing:
         ends = [graph.numbers[viewpoint] for viewpoint in branches.leaves]
         leaf = committed_leaf(graph.between(path[-1:], ends)[0].tolist(), margin)
-    return {
-        "bsa": bsa,
-        "csr": NAN if np.isnan(bsa) else float(success and bsa == 1.0),
-        "bsa_all": bsa_all,
-        "csr_all": float(success and bsa_all == 1.0),
-        "committed_leaf": float(leaf),
-    }
+    return branch_measures(branches.task, reached, leaf, success)
 
 
 def _refuse(where: str | Path, place: str, what: str, remedy: str = "See docs/metrics.md") -> NoReturn:
     raise FormatError(what, where=where or None, place=place, remedy=remedy)
+
+
+def r2r_file(export: Path, split: str) -> Path:
+    """Return the R2R file of a split, in an export or in a folder of R2R's own files.
+
+    Raises
+    ------
+    MissingFileError : the split has no R2R file
+    """
+    name = f"R2R_{split}.json"
+    found = next((path for path in (export / "r2r" / name, export / name) if path.is_file()), None)
+    if found is None:
+        raise MissingFileError(
+            "the file does not exist, but it is needed to score paths over viewpoints",
+            where=export / "r2r" / name,
+            remedy="Set 'connectivity' of the mp3d source and generate again: only such exports hold it",
+        )
+    return found
+
+
+class GraphSplit:
+    """One R2R split.
+
+    Parameters
+    ----------
+    tasks : tasks of the split's manifest, if it is known
+    graphs : connectivity by scan
+
+    Attributes
+    ----------
+    tasks : the tasks that are in the R2R file, in its order; empty for a file that is not ours
+
+    Raises
+    ------
+    MissingFileError : a scan has no graph
+    FormatError : the file is not an R2R file
+    """
+
+    def __init__(self, file: Path, tasks: Iterable[Task], graphs: Mapping[str, GraphPathfinder]) -> None:
+        known = {name: task for task in tasks for name in (task.episode_id, *task.aliases)}
+        episodes = read_graph_episodes(file)
+        lacking = sorted({episode.scan for episode in episodes} - set(graphs))
+        if lacking:
+            raise MissingFileError(
+                f"connectivity graphs are missing for {len(lacking)} scans, such as {lacking[0]}",
+                where=file,
+                remedy="Name the folder of <scan>_connectivity.json files with --connectivity",
+            )
+        # An export has each text three times, as R2R's evaluator asks for; they are one episode.
+        self._first: dict[str, str] = {}
+        for episode in episodes:
+            path_id = episode.instruction_id.rsplit("_", 1)[0]
+            if path_id in known:
+                self._first[episode.instruction_id] = f"{path_id}_0"
+        episodes = [e for e in episodes if self._first.get(e.instruction_id, e.instruction_id) == e.instruction_id]
+        of_episode = [known.get(episode.instruction_id.rsplit("_", 1)[0]) for episode in episodes]
+        self._episodes = [_with_branches(e, t, graphs) for e, t in zip(episodes, of_episode, strict=True)]
+        self._of_episode = of_episode
+        self._distances = {scan: GraphDistances(graphs[scan].graph) for scan in {e.scan for e in episodes}}
+        self.tasks = [task for task in of_episode if task is not None]
+
+    def evaluate(
+        self, predictions: Sequence[GraphPrediction], *, agent: str, where: str = "", radii: Sequence[float] = ()
+    ) -> Evaluation:
+        """Score one agent's predictions, also at the success distances ``radii`` (metres). The first of several
+        predictions for one text of an export counts.
+
+        Raises
+        ------
+        FormatError : an instruction or viewpoint is unknown, or a path begins elsewhere
+        """
+        judged: dict[str, GraphPrediction] = {}
+        for prediction in predictions:
+            name = self._first.get(prediction.instruction_id, prediction.instruction_id)
+            judged.setdefault(name, replace(prediction, instruction_id=name))
+        spare = len(predictions) - len(judged)
+        scores, *swept = (
+            list(evaluate_graph(self._episodes, judged.values(), self._distances, margin=margin, where=where).values())
+            for margin in (ERROR_MARGIN, *radii)
+        )
+        of_episode = self._of_episode
+        return Evaluation(
+            agent,
+            ScoreRules(success_distance=ERROR_MARGIN),
+            tuple(episode.instruction_id for episode in self._episodes),
+            tuple(task.group_id if task is not None else None for task in of_episode),
+            {axis: np.array([self._axis(row, axis) for row in range(len(of_episode))], dtype=object) for axis in AXES},
+            np.array([task.gold_leaf if task is not None else NO_LEAF for task in of_episode], dtype=np.int64),
+            np.array([len(task.leaves) if task is not None else 0 for task in of_episode], dtype=np.int64),
+            _columns(scores, [*_UNDEFINED]),
+            {radius: _columns(rows, SWEPT) for radius, rows in zip(radii, swept, strict=True)},
+            (f"{spare} predictions for texts that the file has again were left out",) if spare else (),
+        )
+
+    def _axis(self, row: int, axis: str) -> str | int | None:
+        task, scan = self._of_episode[row], self._episodes[row].scan
+        if task is not None:
+            return task.axes[axis]
+        return {"source": "R2R", "scene": scan}.get(axis)
+
+
+def _columns(scores: Sequence[Score], names: Sequence[str]) -> dict[str, Table]:
+    return {name: np.array([getattr(score, name) for score in scores], dtype=np.float64) for name in names}
+
+
+def _with_branches(episode: GraphEpisode, task: Task | None, graphs: Mapping[str, GraphPathfinder]) -> GraphEpisode:
+    if task is None:
+        return episode
+    graph = graphs[episode.scan]
+    leaves = [graph.viewpoint(leaf.goals[0]) for leaf in task.leaves]
+    subgoals = [graph.viewpoint(subgoal) for subgoal in task.gold.subgoals]
+    if None in leaves or None in subgoals:  # the graph differs from the one that the export was made with
+        return episode
+    branches = GraphBranches(task, tuple(map(str, leaves)), tuple(map(str, subgoals)))
+    return replace(episode, branches=branches)

@@ -9,14 +9,14 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.goal_distances import Nearness
+from condvln.evaluation.goal_distances import Navmesh, Nearness
+from condvln.evaluation.metrics import keys_of
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.score import Score, ScoreRules, score
+from condvln.evaluation.score import Score, ScoreRules, Sees, score
 from condvln.evaluation.task import Task
-from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError
 
-__all__ = ["AXES", "SWEPT", "Evaluation", "evaluate"]
+__all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "evaluate"]
 
 AXES: Final = (
     "source",
@@ -32,10 +32,11 @@ AXES: Final = (
 )
 """Columns by which scores can be grouped."""
 
-SWEPT: Final = ("success", "oracle_success", "spl", "bsa_all", "csr_all", "leaf_correct")
+SWEPT: Final = keys_of("sweep")
 """Measures that depend on the success distance; computed for each distance of a sweep."""
 
-PathfinderOf = Callable[[Task], PathfinderProtocol]
+PathfinderOf = Callable[[Task], Navmesh]
+SeesOf = Callable[[Task], Sees | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,7 @@ class Evaluation:
     gold_leaf, n_leaves : (n,)
     scores : (n,) float64 arrays by the names of :class:`~condvln.evaluation.score.Score`
     sweep : by success distance, (n,) arrays by the names of :data:`SWEPT`
+    notes : what was left out or changed when the agent's file was read, a sentence each
     """
 
     agent: str
@@ -60,6 +62,7 @@ class Evaluation:
     n_leaves: npt.NDArray[np.int64]
     scores: Mapping[str, npt.NDArray[np.float64]]
     sweep: Mapping[float, Mapping[str, npt.NDArray[np.float64]]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.episode_ids)
@@ -94,6 +97,7 @@ def evaluate(
     where: str = "",
     radii: Sequence[float] = (),
     prune: bool = True,
+    sees_of: SeesOf | None = None,
 ) -> Evaluation:
     """Score every task; a task without a prediction counts as a failure.
 
@@ -103,6 +107,8 @@ def evaluate(
     where : name of the predictions' file, for messages
     radii : success distances of a sweep, metres
     prune : compute only distances that can matter; if False, compute all of them, with equal results
+    sees_of : returns what is recognised on walks in a task's scene, None where the scene is not there; `justified` is
+        undefined then
 
     Raises
     ------
@@ -114,10 +120,15 @@ def evaluate(
     scores: list[Score | None] = [None] * len(tasks)
     swept: dict[float, list[Score | None]] = {radius: [None] * len(tasks) for radius in radii}
 
+    all_round = 0
+
     def judge(number: int, prediction: Prediction | None) -> None:
+        nonlocal all_round
         task = tasks[number]
         nearness = Nearness(pathfinder_of(task), prune=prune)
-        scores[number] = score(task, prediction, nearness, rules, where)
+        sees = sees_of(task) if sees_of is not None else None
+        all_round += sees is not None and prediction is not None and prediction.headings is None
+        scores[number] = score(task, prediction, nearness, rules, where, sees)
         for radius, kept in swept.items():
             kept[number] = score(task, prediction, nearness, replace(rules, success_distance=radius), where)
 
@@ -135,6 +146,7 @@ def evaluate(
     for number in range(len(tasks)):
         if scores[number] is None:
             judge(number, None)
+    said = f"{all_round} of {len(tasks)} paths have no headings: justified counts what is seen all round"
     return Evaluation(
         agent,
         rules,
@@ -145,6 +157,7 @@ def evaluate(
         np.array([len(task.leaves) for task in tasks], dtype=np.int64),
         _columns(scores, [item.name for item in fields(Score)]),
         {radius: _columns(kept, SWEPT) for radius, kept in swept.items()},
+        (said,) if all_round else (),
     )
 
 

@@ -8,14 +8,23 @@ position as given.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.protocol import PathfinderProtocol
-
-__all__ = ["SLACK", "SNAPPED", "Nearness", "SnappedPath"]
+__all__ = [
+    "ASTRAY",
+    "OFF_FLOOR",
+    "OFF_NAVMESH",
+    "RISE",
+    "SLACK",
+    "SLIDE",
+    "SNAPPED",
+    "Navmesh",
+    "Nearness",
+    "SnappedPath",
+]
 
 Points = npt.NDArray[np.float64]
 
@@ -24,6 +33,23 @@ SLACK: Final = 0.01
 
 SNAPPED: Final = 0.01
 """If snapping moves a point farther than this (metres), its distance is always computed."""
+
+OFF_NAVMESH: Final = 0.1
+OFF_FLOOR: Final = 0.5
+"""A pose farther than this (metres, horizontally and vertically) from the navmesh is not one that an agent can have.
+Habitat's walks over 126 navmeshes stay within 1 mm and 0.25 m.
+"""
+
+SLIDE: Final = 1.25
+RISE: Final = 2.0
+"""A step's largest length on the ground and in height, as multiples of the action forward. Habitat's steps, which slide
+along walls and climb stairs, reach 1.16 and 1.48 on the same navmeshes.
+"""
+
+ASTRAY: Final = 0.02
+"""Metres that a step may be longer, or end elsewhere than Habitat's move of the same length, as files round
+positions. That move ends within 1 mm of the end of every step of the same walks.
+"""
 
 _WAVE: Final = 8
 """Number of candidates in the first batch; each batch is twice as large as the one before."""
@@ -39,11 +65,29 @@ class SnappedPath:
     snapped: Points
     moved: npt.NDArray[np.bool_]
 
+    @property
+    def off_navmesh(self) -> int:
+        """Number of positions off the navmesh: farther from it than `OFF_NAVMESH` or `OFF_FLOOR`."""
+        x, y, z = np.abs(self.snapped - self.positions).T
+        return int((~((np.hypot(x, z) <= OFF_NAVMESH) & (y <= OFF_FLOOR))).sum())
+
+
+class Navmesh(Protocol):
+    """What scores need of a pathfinder; the methods are those of :class:`~condvln.navigation.pathfinder.Pathfinder`."""
+
+    def snap_points(self, points: npt.ArrayLike) -> npt.NDArray[Any]: ...
+
+    def geodesic_distance(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float: ...
+
+    def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> npt.NDArray[Any]: ...
+
+    def try_steps(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> npt.NDArray[Any]: ...
+
 
 class Nearness:
     """Measures distances in one scene, in metres. The distance to an unreachable point is infinite, never NaN."""
 
-    def __init__(self, pathfinder: PathfinderProtocol, *, prune: bool = True) -> None:
+    def __init__(self, pathfinder: Navmesh, *, prune: bool = True) -> None:
         self._pathfinder = pathfinder
         self._prune = prune
 
@@ -64,6 +108,32 @@ class Nearness:
         """
         found = float(self._pathfinder.geodesic_distance(point, goals))
         return found if np.isfinite(found) else float("inf")
+
+    def steps(self, path: SnappedPath, forward: float) -> tuple[Points, npt.NDArray[np.bool_]]:
+        """Return the length in metres of each step of a path (n − 1,), and which steps no single action can have made:
+        those longer than the action ``forward`` (metres) allows, and those that a wall stops.
+
+        A step of an action is as long as its straight line, as in VLN-CE; any other is as long as its geodesic
+        distance, infinite where there is no way.
+        """
+        moves = np.diff(path.positions, axis=0)
+        lengths = np.sqrt(np.square(moves).sum(axis=1))
+        gaps = (np.hypot(moves[:, 0], moves[:, 2]) > SLIDE * forward + ASTRAY) | (np.abs(moves[:, 1]) > RISE * forward)
+        close = np.flatnonzero(~gaps & (lengths > 0))
+        astray = np.zeros(len(lengths), dtype=bool)
+        if len(close):
+            ends = path.positions[close + 1]
+            missed = np.asarray(self._pathfinder.try_steps(path.positions[close], ends), np.float64) - ends
+            astray[close] = ~(np.hypot(missed[:, 0], missed[:, 2]) <= ASTRAY)
+        far = np.flatnonzero(gaps | astray)
+        if len(far):
+            ways = self._pathfinder.geodesic_distances(path.positions[far], path.positions[far + 1])
+            found = np.maximum(lengths[far], np.asarray(ways, np.float64))
+            found = np.where(np.isnan(found), np.inf, found)
+            # A rounded step along the corner of a wall may be stopped by it, though the way is as long as the step.
+            gaps[far] |= found > lengths[far] + ASTRAY
+            lengths[far] = np.where(gaps[far], found, lengths[far])
+        return lengths, gaps
 
     def ever_within(self, path: SnappedPath, goals: Points, radius: float) -> bool:
         """Return whether any position of ``path`` is less than ``radius`` metres from any of ``goals``."""

@@ -6,14 +6,15 @@ Formulas as in habitat-lab (``tasks/nav/nav.py``), VLN-CE (``habitat_extensions/
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from condvln.evaluation.goal_distances import Nearness, SnappedPath
-from condvln.evaluation.kernels.alignment import coverage_distances, dtw, fast_dtw
+from schemas.errors import UsageError
 from schemas.program import Program
 
 __all__ = [
@@ -23,6 +24,8 @@ __all__ = [
     "cls",
     "committed_leaf",
     "decisions",
+    "dtw",
+    "dtw_of_costs",
     "first_divergence",
     "length_weighted",
     "ndtw",
@@ -39,7 +42,6 @@ Points = npt.NDArray[np.float64]
 FIDELITY_DISTANCE: Final = 3.0
 """Metres; the distance threshold of nDTW and CLS in R2R and VLN-CE, independent of the success distance."""
 
-_FAST_RADIUS: Final = 1
 _NOTHING: Final = 1e-6
 """Length in metres below which a path counts as having no length."""
 
@@ -78,26 +80,75 @@ def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *
     ----------
     path : (n, 3) positions, n ≥ 1; points equal to their predecessor are dropped
     reference : (m, 3) dense locations
-    fast : VLN-CE's approximation (``fastdtw``, radius 1), never below the exact sum
+    fast : VLN-CE's approximation (package ``fastdtw``, radius 1), whose sum is never below the exact one
+
+    Raises
+    ------
+    UsageError : `fast`, and the package is not installed
     """
-    walked = np.ascontiguousarray(without_repeats(path), dtype=np.float64)
-    wanted = np.ascontiguousarray(reference, dtype=np.float64)
-    total = fast_dtw(walked, wanted, _FAST_RADIUS) if fast else dtw(walked, wanted)
-    return float(np.exp(-total / (len(wanted) * distance)))
+    total = (_fast_dtw if fast else dtw)(without_repeats(path), reference)
+    return float(np.exp(-total / (len(reference) * distance)))
 
 
-def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE) -> float:
-    """Return the coverage weighted by length score (CLS).
+def dtw(path: Points, reference: Points) -> float:
+    """Return the least sum of Euclidean distances, in metres, over all monotone alignments of two paths (n, 3) and
+    (m, 3).
+    """
+    one, other = sorted((path, reference), key=len)
+    return _least_sum(
+        lambda rows, columns: np.sqrt(np.square(one[rows] - other[columns]).sum(axis=1)), len(one), len(other)
+    )
+
+
+def dtw_of_costs(costs: Points) -> float:
+    """Return the same sum as :func:`dtw`, computed from given distances (n, m) between the points, such as distances on
+    a graph.
+    """
+    return _least_sum(lambda rows, columns: costs[rows, columns], *costs.shape)
+
+
+def _least_sum(cost: Callable[[npt.NDArray[np.intp], npt.NDArray[np.intp]], Points], n: int, m: int) -> float:
+    """Return the least sum of the costs on a monotone path through a table (n, m), from its first to its last cell.
+
+    The table is filled by diagonals, whose cells do not depend on each other; the last three are kept.
+    """
+    before, last = np.full((2, n + 1), np.inf)
+    before[0] = 0.0
+    for diagonal in range(n + m - 1):
+        rows = np.arange(max(0, diagonal - m + 1), min(n, diagonal + 1))
+        sums = np.full(n + 1, np.inf)
+        least = np.minimum(np.minimum(last[rows], last[rows + 1]), before[rows])
+        sums[rows + 1] = least + cost(rows, diagonal - rows)
+        before, last = last, sums
+    return float(last[n])
+
+
+def _fast_dtw(path: Points, reference: Points) -> float:
+    try:
+        from fastdtw import fastdtw
+    except ImportError as error:
+        raise UsageError("fastdtw is not installed", remedy="Install condvln[fastdtw]") from error
+    return float(fastdtw(path, reference, radius=1, dist=2)[0])
+
+
+def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *, length: float | None = None) -> float:
+    """Return the coverage weighted by length score (CLS). ``length`` is that of the path in metres, by default the sum
+    of its straight steps.
 
     Coverage is the mean over the reference of exp(−distance to the path ÷ `distance`). The length score compares the
     path's length with coverage × the reference's length. If both lengths are 0, the score is the coverage.
     """
-    near = coverage_distances(np.ascontiguousarray(path, dtype=np.float64), np.ascontiguousarray(reference))
-    return length_weighted(float(np.exp(-near / distance).mean()), path_length(reference), path_length(path))
+    near = np.asarray(cKDTree(path).query(reference)[0])
+    length = path_length(path) if length is None else length
+    return length_weighted(float(np.exp(-near / distance).mean()), path_length(reference), length)
 
 
 def length_weighted(coverage: float, reference_length: float, length: float) -> float:
-    """Return CLS, computed from the coverage and from the lengths in metres of the reference and of the path."""
+    """Return CLS, computed from the coverage and from the lengths in metres of the reference and of the path; 0 if one
+    of them is infinite.
+    """
+    if not np.isfinite(reference_length + length):
+        return 0.0
     expected = coverage * reference_length
     total = expected + abs(expected - length)
     return coverage if total == 0 else coverage * expected / total
@@ -159,13 +210,22 @@ def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, ra
 
     One position may reach several subgoals; the start counts.
     """
+    return prefix_in_order(len(subgoals), lambda k, at: nearness.first_within(path, subgoals[k], radius, at))
+
+
+def prefix_in_order(subgoals: int, first_from: Callable[[int, int], int | None]) -> int:
+    """Return the length of the longest prefix of so many subgoals that are reached in order.
+
+    first_from : returns the first position at which a subgoal (its number) is reached from a position on, None if it
+        is not
+    """
     at = 0
-    for number, subgoal in enumerate(subgoals):
-        found = nearness.first_within(path, subgoal, radius, at)
+    for number in range(subgoals):
+        found = first_from(number, at)
         if found is None:
             return number
         at = found
-    return len(subgoals)
+    return subgoals
 
 
 def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:

@@ -12,12 +12,13 @@ from matplotlib.figure import Figure
 
 from condvln.evaluation.aggregate import by_axis
 from condvln.evaluation.evaluate import Evaluation
-from condvln.formats.figure_file import write_figure
+from condvln.evaluation.metrics import metrics_of
+from condvln.formats.streams import write_figure
 from schemas.errors import UsageError
 
 __all__ = ["SHOWN", "axis_figure", "save_figures"]
 
-SHOWN: Final = (("success", "SR"), ("bsa_all", "BSA-all"), ("csr_all", "CSR-all"))
+SHOWN: Final = tuple((metric.key, metric.heading) for metric in metrics_of("plots"))
 """Measures over every episode; by the paper's rule CSR could exceed SR."""
 _AXES: Final = ("depth", "chain")
 _SHIFT: Final = 0.06

@@ -9,12 +9,18 @@ R2R          ``[{"instr_id", "trajectory": [[viewpoint, …], …]}, …]``     
 ===========  ================================================================  ==================================
 
 VLN-CE's first pose is the start and each later one the state after an action, so a path of n poses took n − 1 actions.
+RxR's and R2R's entries may be lines or an array, may name the episode as ``episode_id``, and hold VLN-CE's poses too. A
+step of R2R is one viewpoint, with or without heading and elevation, or a list of the viewpoints that the step led
+through, as agents with a global map write it (VLN-DUET's ``agent.py`` and those made from it).
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
@@ -25,8 +31,16 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
+from condvln.evaluation.reading import (
+    ReadRules,
+    episode_name,
+    named_entries,
+    records,
+    without_duplicates,
+    without_summaries,
+)
 from condvln.formats.json_document import MAX_COORDINATE
-from condvln.formats.json_entries import entries, head, json_lines, parsed
+from condvln.formats.json_entries import head, parsed
 from condvln.formats.streams import JsonArrayStream, atomic_stream
 from schemas.errors import FormatError
 
@@ -45,7 +59,12 @@ PredictionFormat = Literal["vlnce", "rxr", "r2r"]
 _HEAD: Final = 1 << 16
 _FIRST_VALUE: Final = re.compile(rb'\{\s*"([^"\\]*(?:\\.[^"\\]*)*)"\s*:\s*(.)', re.DOTALL)
 """How an object of predictions begins: its first key, and the first character of that key's value."""
-_RXR_KEYS: Final = (b"instruction_id", b"path")
+_IDS: Final = {"rxr": ("instruction_id", "episode_id", "instr_id"), "r2r": ("instr_id", "instruction_id", "episode_id")}
+_PATHS: Final = {"rxr": ("path", "trajectory"), "r2r": ("trajectory", "path")}
+"""Keys of an entry's id and path, in the order in which they are looked for."""
+_KEYS: Final = tuple(name.encode() for name in (*_IDS["rxr"], *_PATHS["rxr"]))
+_FIRST_PLACE: Final = re.compile(rb'"(?:path|trajectory)"\s*:\s*\[[\s\[]*([^\s\[\]])')
+"""The first character of the first place on a path: a quotation mark if places are viewpoints."""
 
 _REMEDY: Final = (
     "Accepted are VLN-CE's {episode id: [{position, heading, stop}, ...]}, RxR's lines of {instruction_id, path}, "
@@ -64,7 +83,7 @@ class Prediction:
     stopped : STOP was called at the last position
     counts_actions : every action has a pose, so that a step budget can be applied to the path
     collided : (n,) whether the step to each position collided, if the file says so
-    headings : (n,) radians counter-clockwise from −z if known; no metric uses them
+    headings : (n,) radians counter-clockwise from −z if all are known
     """
 
     episode_id: str
@@ -92,42 +111,51 @@ def detect_format(path: Path) -> PredictionFormat:
     """
     text = head(path, _HEAD)
     if text.startswith(b"["):
-        return _kind_of_array(path, text[1:].lstrip())
+        inside = text[1:].lstrip()
+        if inside.startswith(b"]"):
+            _refuse(path, "", "the file is an empty array: it holds no prediction")
+        if not inside.startswith(b"{"):
+            kind = {b"[": "arrays", b'"': "texts"}.get(inside[:1], "numbers or words")
+            _refuse(path, "", f"the file is an array of {kind}, not of predictions")
+        return _kind_of_records(text)
+    if text.startswith((b"\xff\xfe", b"\xfe\xff")):
+        _refuse(path, "", "the text is UTF-16, not UTF-8")
     if not text.startswith(b"{"):
         _refuse(path, "", "the file is neither a JSON object nor a JSON array" if text else "the file is empty")
     first = _FIRST_VALUE.match(text)
     key, value = (first[1], first[2]) if first is not None else (b"", b"")
-    if key not in _RXR_KEYS and (value == b"[" or text[1:].lstrip().startswith(b"}")):
+    if key not in _KEYS and (value == b"[" or text[1:].lstrip().startswith(b"}")):
         return "vlnce"
-    if not any(b'"' + name + b'"' in text for name in _RXR_KEYS):
+    if not any(b'"' + name + b'"' in text for name in _KEYS):
         _refuse(path, "", "the file is a JSON object, but not one of predictions by episode")
-    return "rxr"
+    return _kind_of_records(text)
 
 
-def _kind_of_array(path: Path, inside: bytes) -> PredictionFormat:
-    if inside.startswith(b"]"):
-        _refuse(path, "", "the file is an empty array: it holds no prediction")
-    if not inside.startswith(b"{"):
-        kind = {b"[": "arrays", b'"': "texts"}.get(inside[:1], "numbers or words")
-        _refuse(path, "", f"the file is an array of {kind}, not of predictions")
-    return "r2r"
+def _kind_of_records(text: bytes) -> PredictionFormat:
+    place = _FIRST_PLACE.search(text)
+    if place is not None:
+        return "r2r" if place[1] == b'"' else "rxr"
+    return "rxr" if b'"instruction_id"' in text or b'"episode_id"' in text else "r2r"
 
 
 def read_predictions(
-    path: str | os.PathLike[str], kind: PredictionFormat | None = None, *, assume_stop: bool = False
+    path: str | os.PathLike[str],
+    kind: PredictionFormat | None = None,
+    rules: ReadRules | None = None,
+    notes: list[str] | None = None,
 ) -> Iterator[Prediction]:
     """Yield predictions in continuous space, in file order.
 
     Parameters
     ----------
-    assume_stop : treat the last pose of a VLN-CE path without any ``stop`` as STOP
+    notes : receives a sentence for each kind of thing that was left out
 
     Raises
     ------
     FormatError : the file is malformed, a position exceeds `MAX_COORDINATE`, or an id is repeated; the message names
         the episode and step
     """
-    path = Path(path)
+    path, rules, notes = Path(path), rules or ReadRules(), [] if notes is None else notes
     kind = kind or detect_format(path)
     if kind == "r2r":
         raise FormatError(
@@ -135,34 +163,29 @@ def read_predictions(
             where=path,
             remedy="Evaluate it against a split that has an R2R file (r2r/R2R_<split>.json)",
         )
-    seen: set[str] = set()
-    for prediction in _vlnce(path, assume_stop) if kind == "vlnce" else _rxr(path):
-        _refuse_repeat(path, prediction.episode_id, seen)
-        yield prediction
+    said: Counter[str] = Counter()
+    read = (_vlnce if kind == "vlnce" else _rxr)(path, rules, notes, said)
+    yield from without_duplicates(read, lambda one: one.episode_id, path, rules, notes, "predictions")
+    if said["without stop"] and not rules.assume_stop:
+        notes.append(
+            f"{said['without stop']} of {said['paths']} paths do not say whether the agent stopped, and count as if it "
+            "did not; --assume-stop takes their last pose as STOP"
+        )
 
 
-def read_graph_predictions(path: Path) -> Iterator[GraphPrediction]:
-    """Yield R2R predictions in file order.
+def read_graph_predictions(
+    path: Path, rules: ReadRules | None = None, notes: list[str] | None = None
+) -> Iterator[GraphPrediction]:
+    """Yield R2R predictions in file order, with the viewpoints of all steps one after another; arguments as for
+    `read_predictions`.
 
     Raises
     ------
     FormatError : the file is malformed, or an id is repeated
     """
-    seen: set[str] = set()
-    for number, (_, data) in enumerate(entries(path)):
-        place = f"entry {number}"
-        entry = parsed(data, path, place, item="step")
-        if not isinstance(entry, dict) or not isinstance(entry.get("trajectory"), list):
-            _refuse(path, place, "the entry is not an object with instr_id and a list trajectory")
-        name = _identity(path, place, entry, "instr_id")
-        viewpoints = []
-        for step, stop in enumerate(entry["trajectory"]):
-            viewpoint = stop[0] if isinstance(stop, list) and stop else stop
-            if not isinstance(viewpoint, str):
-                _refuse(path, f"instruction {name}, step {step}", "the step has no viewpoint id")
-            viewpoints.append(viewpoint)
-        _refuse_repeat(path, name, seen)
-        yield GraphPrediction(name, tuple(viewpoints))
+    rules, notes = rules or ReadRules(), [] if notes is None else notes
+    read = _r2r(path, rules, notes)
+    yield from without_duplicates(read, lambda one: one.instruction_id, path, rules, notes, "predictions")
 
 
 def write_predictions(path: str | os.PathLike[str], predictions: Iterable[Prediction]) -> int:
@@ -177,13 +200,13 @@ def write_predictions(path: str | os.PathLike[str], predictions: Iterable[Predic
         entries = JsonArrayStream(stream)
         for prediction in predictions:
             last = len(prediction.positions) - 1
-            headings = prediction.headings if prediction.headings is not None else np.zeros(last + 1)
             poses: list[dict[str, Any]] = [
-                {"position": position, "heading": heading, "stop": prediction.stopped and step == last}
-                for step, (position, heading) in enumerate(
-                    zip(prediction.positions.tolist(), headings.tolist(), strict=True)
-                )
+                {"position": position, "stop": prediction.stopped and step == last}
+                for step, position in enumerate(prediction.positions.tolist())
             ]
+            if prediction.headings is not None:
+                for pose, heading in zip(poses, prediction.headings.tolist(), strict=True):
+                    pose["heading"] = heading
             if prediction.collided is not None:
                 for pose, collided in zip(poses, prediction.collided.tolist(), strict=True):
                     pose["collision"] = collided
@@ -192,49 +215,110 @@ def write_predictions(path: str | os.PathLike[str], predictions: Iterable[Predic
     return entries.count
 
 
-def _vlnce(path: Path, assume_stop: bool) -> Iterator[Prediction]:
-    for name, data in entries(path):
+def _vlnce(path: Path, rules: ReadRules, notes: list[str], said: Counter[str]) -> Iterator[Prediction]:
+    for key, data in named_entries(path, rules, notes):
+        name = episode_name(key)
         if name is None:
             _refuse(path, "", "the file is an array, not an object of paths by episode id")
-        poses = parsed(data, path, f"episode {name}", item="step")
+        poses = parsed(data, path, f"episode {name}", nonfinite=True)
         if not isinstance(poses, list):
             _refuse(path, f"episode {name}", "the value is not a list of poses")
-        stops = _stops(path, name, poses)
-        end = stops.index(True) + 1 if True in stops else len(poses)
-        said = any(stop is not None for stop in stops)
-        positions = _positions(path, name, [pose.get("position") for pose in poses[:end]])
-        stopped = True in stops or (assume_stop and not said and end > 0)
-        yield Prediction(name, positions, stopped, True, _collided(poses[:end]))
+        if poses and isinstance(poses[0], dict) and any(one in poses[0] for one in _IDS["rxr"]):
+            what = f"the key {name!r} holds a list of predictions, not the poses of one episode: write that list alone"
+            _refuse(path, f"episode {name}", what)
+        yield _of_poses(path, name, poses, rules, said)
 
 
-def _stops(path: Path, name: str, poses: list[Any]) -> list[bool | None]:
-    try:
-        stops = [pose.get("stop") for pose in poses]
-    except AttributeError:
-        wrong = next(step for step, pose in enumerate(poses) if not isinstance(pose, dict))
+def _of_poses(path: Path, name: str, poses: list[Any], rules: ReadRules, said: Counter[str]) -> Prediction:
+    stops = _stops(path, name, poses)
+    said["paths"] += 1
+    said["without stop"] += bool(poses) and all(pose.get("stop") is None for pose in poses)
+    end = stops.index(True) + 1 if True in stops else len(poses)
+    positions = _positions(path, name, [pose.get("position") for pose in poses[:end]])
+    stopped = True in stops or (rules.assume_stop and end > 0)
+    return Prediction(name, positions, stopped, True, _collided(poses[:end]), _headings(poses[:end]))
+
+
+def _stops(path: Path, name: str, poses: list[Any]) -> list[bool]:
+    wrong = next((step for step, pose in enumerate(poses) if not isinstance(pose, dict)), None)
+    if wrong is not None:
         _refuse(path, f"episode {name}, step {wrong}", "the pose is not an object with position, heading and stop")
-    if not {*map(type, stops)} <= {bool, type(None)}:
-        wrong = next(step for step, stop in enumerate(stops) if not isinstance(stop, bool | None))
+    stops = [pose.get("stop") for pose in poses]
+    # True and False equal 1 and 0, which some agents write.
+    wrong = next((step for step, stop in enumerate(stops) if stop is not None and stop not in (False, True)), None)
+    if wrong is not None:
         _refuse(path, f"episode {name}, step {wrong}", f"stop is {stops[wrong]!r:.40}, neither true nor false")
-    return stops
+    return [stop == 1 for stop in stops]
+
+
+def _headings(poses: list[Any]) -> npt.NDArray[np.float64] | None:
+    found = [pose.get("heading") for pose in poses]
+    if not all(type(heading) in (int, float) and abs(heading) <= sys.float_info.max for heading in found):
+        return None
+    return np.array(found, dtype=np.float64)
 
 
 def _collided(poses: list[Any]) -> npt.NDArray[np.bool_] | None:
     said = [pose.get("collision") for pose in poses]
-    if not any(isinstance(collision, bool) for collision in said):
+    if all(collision not in (False, True) for collision in said):
         return None
-    return np.array([collision is True for collision in said])
+    return np.array([collision == 1 for collision in said])
 
 
-def _rxr(path: Path) -> Iterator[Prediction]:
-    for number, line in json_lines(path):
-        place = f"line {number}"
-        entry = parsed(line, path, place, item="step")
-        if not isinstance(entry, dict) or not isinstance(entry.get("path"), list):
-            _refuse(path, place, "the line is not an object with instruction_id and a list path")
-        name = _identity(path, place, entry, "instruction_id")
-        positions = _positions(path, name, entry["path"])
-        yield Prediction(name, positions, len(positions) > 0, False)
+def _rxr(path: Path, rules: ReadRules, notes: list[str], said: Counter[str]) -> Iterator[Prediction]:
+    for name, points in _named_paths(path, "rxr", rules, notes):
+        if points and isinstance(points[0], dict):
+            yield _of_poses(path, name, points, rules, said)
+        else:
+            positions = _positions(path, name, points)
+            yield Prediction(name, positions, len(positions) > 0, False)
+
+
+def _r2r(path: Path, rules: ReadRules, notes: list[str]) -> Iterator[GraphPrediction]:
+    for name, steps in _named_paths(path, "r2r", rules, notes):
+        viewpoints: list[str] = []
+        for number, step in enumerate(steps):
+            passed = list(_viewpoints(step))
+            if not passed and step != []:
+                _refuse(path, f"instruction {name}, step {number}", "the step has no viewpoint id")
+            # A step may begin where the one before ended.
+            several = len(passed) > 1 and viewpoints and passed[0] == viewpoints[-1]
+            viewpoints += passed[1:] if several else passed
+        yield GraphPrediction(name, tuple(viewpoints))
+
+
+def _viewpoints(step: Any) -> Iterator[str]:
+    """Yield all viewpoints of one step of a trajectory; headings and elevations are numbers."""
+    if isinstance(step, str):
+        yield step
+    elif isinstance(step, list):
+        for part in step:
+            yield from _viewpoints(part)
+
+
+def _named_paths(
+    path: Path, kind: Literal["rxr", "r2r"], rules: ReadRules, notes: list[str]
+) -> Iterator[tuple[str, list[Any]]]:
+    """Yield the id and the path of each entry, except for summaries, which have neither."""
+    for place, entry in without_summaries(records(path, rules, notes), (*_IDS[kind], *_PATHS[kind]), notes):
+        yield _named_path(path, place, entry, kind)
+
+
+def _named_path(path: Path, place: str, entry: object, kind: Literal["rxr", "r2r"]) -> tuple[str, list[Any]]:
+    """Return the id and the path of one entry."""
+    fields = entry if isinstance(entry, dict) else {}
+    key = next((key for key in _IDS[kind] if fields.get(key) is not None), _IDS[kind][0])
+    found = next((fields[one] for one in _PATHS[kind] if one in fields), None)
+    if not isinstance(found, list):
+        what = f"the {place.split()[0]} is not an object with {_IDS[kind][0]} and a list {_PATHS[kind][0]}"
+        _refuse(path, place, what)
+    name = episode_name(fields.get(key))
+    if name is None:
+        value = fields.get(key)
+        _refuse(
+            path, place, f"{key} is missing" if value is None else f"{key} is {_shown(value)}, not text or a number"
+        )
+    return name, found
 
 
 def _positions(path: Path, name: str, points: list[Any]) -> npt.NDArray[np.float64]:
@@ -250,9 +334,13 @@ def _positions(path: Path, name: str, points: list[Any]) -> npt.NDArray[np.float
         wrong = next((step for step, point in enumerate(points) if not _is_point(point)), len(points) - 1)
         what = f"the position is {_shown(points[wrong])}, not three numbers"
         _refuse(path, f"episode {name}, step {wrong}", what)
-    if not (np.abs(positions) <= MAX_COORDINATE).all():
-        step = int(np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE).all(axis=1))[0])
+    inside = np.abs(positions) <= MAX_COORDINATE  # false for NaN
+    if not inside.all():
+        step, axis = np.argwhere(~inside)[0].tolist()
+        value = positions[step, axis]
         what = f"the position {_shown(points[step])} is farther than {MAX_COORDINATE:g} m from the origin of its scene"
+        if not np.isfinite(value):
+            what = f"the number {value} in the position is not finite"
         _refuse(path, f"episode {name}, step {step}", what)
     return positions
 
@@ -262,25 +350,7 @@ def _is_point(point: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    return orjson.dumps(value).decode()[:60]
-
-
-def _identity(path: Path, place: str, entry: dict[str, Any], key: str) -> str:
-    name = entry.get(key)
-    if isinstance(name, bool) or not isinstance(name, str | int):
-        _refuse(path, place, f"{key} is missing" if name is None else f"{key} is {_shown(name)}, not text or a number")
-    return str(name)
-
-
-def _refuse_repeat(path: Path, name: str, seen: set[str]) -> None:
-    if name in seen:
-        raise FormatError(
-            "the file has two predictions of this episode",
-            where=path,
-            place=f"episode {name}",
-            remedy="Keep one of the two",
-        )
-    seen.add(name)
+    return json.dumps(value, separators=(",", ":"))[:60]
 
 
 def _refuse(path: Path, place: str, what: str) -> NoReturn:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Protocol
 
 from condvln.scene import Scene
@@ -50,8 +50,7 @@ class SceneViews:
 
     def __init__(self, sources: Mapping[str, Source | str | os.PathLike[str]], kept: int = SCENES_KEPT) -> None:
         self._sources = dict(sources)
-        self._kept = kept
-        self._open: OrderedDict[str, View] = OrderedDict()
+        self._opened = lru_cache(maxsize=kept)(self._open)
 
     def __call__(self, name: str) -> View:
         """Return a scene and its renderer.
@@ -61,17 +60,13 @@ class SceneViews:
         UsageError : no dataset was given for the scene's family
         InputError : the scene can't be read
         """
-        if name in self._open:
-            self._open.move_to_end(name)
-            return self._open[name]
+        return self._opened(name)
+
+    def _open(self, name: str) -> View:
         family, _, scene_id = name.partition("/")
         source = self._source(family)
         scene = source.read(scene_id)
-        view = View(scene, open_renderer(scene, source.geometry(scene)))
-        self._open[name] = view
-        while len(self._open) > self._kept:
-            self._open.popitem(last=False)
-        return view
+        return View(scene, open_renderer(scene, source.geometry(scene)))
 
     def _source(self, family: str) -> Source:
         found = self._sources.get(family)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.goal_distances import Nearness, SnappedPath
+from condvln.evaluation.goal_distances import Navmesh, Nearness, SnappedPath
 from condvln.evaluation.measures import (
     FIDELITY_DISTANCE,
     NO_LEAF,
     DistanceMode,
     cls,
     committed_leaf,
+    decisions,
     first_divergence,
     ndtw,
-    path_length,
     reached_in_any_order_euclidean,
     reached_in_order,
     reached_in_order_euclidean,
@@ -25,10 +26,10 @@ from condvln.evaluation.measures import (
 )
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
-from condvln.navigation.protocol import PathfinderProtocol
+from condvln.navigation.follower import VLN_CE
 from schemas.errors import FormatError
 
-__all__ = ["START_TOLERANCE", "Score", "ScoreRules", "score"]
+__all__ = ["START_TOLERANCE", "Score", "ScoreRules", "Sees", "branch_measures", "score"]
 
 START_TOLERANCE: Final = 0.25
 """Largest allowed distance in metres between the path's first point and the episode's start: one forward step. A larger
@@ -37,6 +38,14 @@ one means another episode or another frame.
 
 NAN: Final = float("nan")
 Points = npt.NDArray[np.float64]
+Sees = Callable[[Prediction], Sequence[int | None]]
+"""Returns, for each condition on the gold route in order, the first pose of a walk at which the evidence seen so far
+decides it; None if there is none.
+"""
+
+
+LOOKING: Final = ("spl_look", "ndtw_look", "sdtw_look", "cls_look")
+"""Measures against the looking path."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +63,8 @@ class ScoreRules:
     """Compute nDTW by VLN-CE's approximation."""
     keep_budget: bool = True
     """Cut paths at the episode's step budget."""
+    forward: float = VLN_CE.forward
+    """Length of the agent's action forward."""
 
 
 @dataclass(frozen=True)
@@ -65,15 +76,23 @@ class Score:
     """
 
     path_length: float
+    """NaN if the path has a step between places without a way between them."""
     navigation_error: float
     """Distance to the nearest goal point; straight-line if ``unreachable``."""
     success: float
     oracle_success: float
     spl: float
     spl_route: float
+    spl_look: float
+    """NaN, as the other measures against the looking path, where the episode has none."""
     ndtw: float
+    ndtw_look: float
     sdtw: float
+    sdtw_look: float
     cls: float
+    cls_look: float
+    justified: float
+    """Success, and all evidence was recognised in time; NaN where nobody could check."""
     bsa: float
     csr: float
     bsa_all: float
@@ -92,6 +111,10 @@ class Score:
     over_budget: float
     missing: float
     """There is no prediction, or its path is empty."""
+    gaps: float
+    """Number of steps that no single action can have made."""
+    off_navmesh: float
+    """Number of positions that are not on the navmesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +130,10 @@ class _Walk:
 def score(
     task: Task,
     prediction: Prediction | None,
-    distances: Nearness | PathfinderProtocol,
+    distances: Nearness | Navmesh,
     rules: ScoreRules | None = None,
     where: str = "",
+    sees: Sees | None = None,
 ) -> Score:
     """Score a prediction of an episode; a missing prediction and an empty path are failures.
 
@@ -118,16 +142,17 @@ def score(
     distances : the pathfinder of the task's scene, or a cached `Nearness` of it
     rules : VLN-CE's rules if None
     where : the predictions' file, for error messages
+    sees : what is recognised on walks in the task's scene; without it, `justified` is undefined
 
     Raises
     ------
-    FormatError : the path does not begin at the episode's start
+    FormatError : the path does not begin at the episode's start, or has a position that is not finite
     """
     nearness = distances if isinstance(distances, Nearness) else Nearness(distances)
     rules = rules or ScoreRules()
     if prediction is None or len(prediction.positions) == 0:
-        return _failure(task, nearness)
-    _check_start(task, prediction, where)
+        return _failure(task, nearness, sees)
+    _check_path(task, prediction, where)
     walk = _judged(task, prediction, nearness, rules)
     radius = task.success_distance if rules.success_distance is None else rules.success_distance
     oracle_radius = max(radius, rules.oracle_success_distance or 0.0)
@@ -135,42 +160,96 @@ def score(
     error = nearness.distance(positions[-1], goals)
     success = walk.stopped and error < radius
     ever = error < oracle_radius or nearness.ever_within(walk.path, goals, oracle_radius)
-    length = path_length(positions)
-    fidelity = ndtw(positions, task.reference, rules.fidelity_distance, fast=rules.fast_dtw)
+    steps, gaps = nearness.steps(walk.path, rules.forward)
+    length = float(steps.sum())
     reached = _reached(task, walk, nearness, rules, radius)
-    bsa_all, bsa = _subgoal_accuracy(reached, len(task.gold.subgoals), success)
     leaf = _leaf(task, walk, nearness, radius)
-    divergence = first_divergence(task.program, task.gold_leaf, leaf)
     unreachable = not np.isfinite(error)
     return Score(
-        path_length=length,
+        path_length=length if np.isfinite(length) else NAN,
         navigation_error=_straight(positions[-1], goals) if unreachable else error,
         success=float(success),
         oracle_success=float(ever),
         spl=spl(success, nearness.distance(task.start, goals), length),
         spl_route=spl(success, task.gold.route_length, length),
-        ndtw=fidelity,
-        sdtw=success * fidelity,
-        cls=cls(positions, task.reference, rules.fidelity_distance),
-        bsa=bsa,
-        csr=NAN if np.isnan(bsa) else float(success and bsa == 1.0),
-        bsa_all=bsa_all,
-        csr_all=float(success and bsa_all == 1.0),
+        **_fidelity("", positions, task.reference, success, length, rules),
+        **_looking(task, positions, success, length, rules),
+        justified=NAN if sees is None else float(success and _in_time(task, walk, nearness, radius, sees(prediction))),
         steps=len(positions) - 1.0 if prediction.counts_actions else NAN,
         collisions=walk.collisions,
-        committed_leaf=leaf,
-        leaf_correct=float(leaf == task.gold_leaf),
-        wrong_branch=float(leaf not in (task.gold_leaf, NO_LEAF)),
-        no_commit=float(leaf == NO_LEAF),
-        divergence=NAN if divergence is None else float(divergence),
         stopped=float(walk.stopped),
         unreachable=float(unreachable),
         over_budget=float(walk.over_budget),
         missing=0.0,
+        gaps=float(gaps.sum()),
+        off_navmesh=float(walk.path.off_navmesh),
+        **branch_measures(task, reached, leaf, success),
     )
 
 
-def _check_start(task: Task, prediction: Prediction, where: str) -> None:
+def _fidelity(
+    suffix: str, positions: Points, reference: Points, success: bool, length: float, rules: ScoreRules
+) -> dict[str, Any]:
+    """Return nDTW, SDTW and CLS against a reference (r, 3), under their names in `Score`."""
+    found = ndtw(positions, reference, rules.fidelity_distance, fast=rules.fast_dtw)
+    coverage = cls(positions, reference, rules.fidelity_distance, length=length)
+    return {f"ndtw{suffix}": found, f"sdtw{suffix}": success * found, f"cls{suffix}": coverage}
+
+
+def _looking(task: Task, positions: Points, success: bool, length: float, rules: ScoreRules) -> dict[str, Any]:
+    """Return the measures against the looking path, under their names in `Score`."""
+    if task.looking is None:
+        return dict.fromkeys(LOOKING, NAN)
+    found = _fidelity("_look", positions, task.looking.reference, success, length, rules)
+    return found | {"spl_look": spl(success, task.looking.length, length)}
+
+
+def _in_time(task: Task, walk: _Walk, nearness: Nearness, radius: float, decided: Sequence[int | None]) -> bool:
+    """Return whether each condition is decided before the walk comes to a stop or goal that only its answer leads to.
+
+    decided : for each condition on the gold route in order, the pose at which it is decided; None for never
+    """
+    return all(
+        at is not None
+        and not any(
+            (first := nearness.first_within(walk.path, point, radius)) is not None and first <= at for point in points
+        )
+        for at, points in zip(decided, _committing(task), strict=True)
+    )
+
+
+def _committing(task: Task) -> Iterator[Points]:
+    """Yield, for each condition on the gold route in order, the stops and goals (k, 3) that only the leaves below its
+    answer have.
+    """
+    gold = decisions(task.program, task.gold_leaf)
+    routes = [decisions(task.program, leaf) for leaf in range(task.n_leaves)]
+    for at in sorted({[number for number, _ in gold].index(number) for number, _ in gold}):
+        below = [leaf for leaf, route in zip(task.leaves, routes, strict=True) if route[: at + 1] == gold[: at + 1]]
+        beside = {
+            name
+            for leaf, route in zip(task.leaves, routes, strict=True)
+            if route[:at] == gold[:at] and route[at] != gold[at]
+            for name in leaf.objects
+        }
+        yield np.vstack(
+            [
+                points
+                for leaf in below
+                for name, points in zip(leaf.objects, (*leaf.subgoals[:, None], leaf.goals), strict=True)
+                if name not in beside
+            ]
+        )
+
+
+def _check_path(task: Task, prediction: Prediction, where: str) -> None:
+    if not np.isfinite(prediction.positions).all():
+        raise FormatError(
+            "a position of the path is not finite",
+            where=where or None,
+            place=f"episode {task.episode_id}",
+            remedy="Give three numbers in metres for each position",
+        )
     off = float(np.linalg.norm(prediction.positions[0] - task.start))
     if off > START_TOLERANCE:
         raise FormatError(
@@ -198,13 +277,29 @@ def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, rad
     return reached_in_order(nearness, walk.path, task.gold.subgoals, radius)
 
 
-def _subgoal_accuracy(reached: int, subgoals: int, success: bool) -> tuple[float, float]:
-    """Return an episode's subgoal accuracy twice: its value for ``bsa_all``, and its value for ``bsa``, which is NaN if
-    the paper's rule leaves the episode out.
+def branch_measures(task: Task, reached: int, leaf: int, success: bool) -> dict[str, Any]:
+    """Return the measures of branches, under their names in `Score`, in space or on a graph.
+
+    Parameters
+    ----------
+    reached : number of the gold path's subgoals that were reached, see `condvln.evaluation.measures`
+    leaf : index of the leaf at which the agent stopped, or `NO_LEAF`
     """
-    if subgoals:
-        return reached / subgoals, reached / subgoals
-    return float(success), 1.0 if success else NAN
+    count = len(task.gold.subgoals)
+    share = reached / count if count else float(success)
+    by_the_paper = share if count or success else NAN
+    divergence = first_divergence(task.program, task.gold_leaf, leaf)
+    return {
+        "bsa": by_the_paper,
+        "csr": NAN if np.isnan(by_the_paper) else float(success and share == 1.0),
+        "bsa_all": share,
+        "csr_all": float(success and share == 1.0),
+        "committed_leaf": leaf,
+        "leaf_correct": float(leaf == task.gold_leaf),
+        "wrong_branch": float(leaf not in (task.gold_leaf, NO_LEAF)),
+        "no_commit": float(leaf == NO_LEAF),
+        "divergence": NAN if divergence is None else float(divergence),
+    }
 
 
 def _leaf(task: Task, walk: _Walk, nearness: Nearness, radius: float) -> int:
@@ -218,34 +313,18 @@ def _straight(point: Points, goals: Points) -> float:
     return float(np.sqrt(np.square(goals - point).sum(axis=1)).min())
 
 
-def _failure(task: Task, nearness: Nearness) -> Score:
+def _failure(task: Task, nearness: Nearness, sees: Sees | None) -> Score:
     """Return the score of a missing prediction: the agent stays at the start and fails."""
     error = nearness.distance(task.start, task.gold.goals)
     unreachable = not np.isfinite(error)
-    bsa = 0.0 if len(task.gold.subgoals) else NAN
-    return Score(
-        path_length=0.0,
-        navigation_error=_straight(task.start, task.gold.goals) if unreachable else error,
-        success=0.0,
-        oracle_success=0.0,
-        spl=0.0,
-        spl_route=0.0,
-        ndtw=0.0,
-        sdtw=0.0,
-        cls=0.0,
-        bsa=bsa,
-        csr=bsa,
-        bsa_all=0.0,
-        csr_all=0.0,
-        steps=NAN,
-        collisions=NAN,
-        committed_leaf=NO_LEAF,
-        leaf_correct=0.0,
-        wrong_branch=0.0,
-        no_commit=1.0,
-        divergence=NAN,
-        stopped=0.0,
-        unreachable=float(unreachable),
-        over_budget=0.0,
-        missing=1.0,
-    )
+    known = {
+        "navigation_error": _straight(task.start, task.gold.goals) if unreachable else error,
+        "steps": NAN,
+        "collisions": NAN,
+        "unreachable": float(unreachable),
+        "missing": 1.0,
+        **({} if sees else {"justified": NAN}),
+        **({} if task.looking else dict.fromkeys(LOOKING, NAN)),
+    }
+    values: dict[str, Any] = dict.fromkeys((item.name for item in fields(Score)), 0.0)
+    return Score(**values | branch_measures(task, 0, NO_LEAF, success=False) | known)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Final, Literal
+from typing import Final
 
 from condvln.evaluation.aggregate import (
     Summary,
@@ -17,7 +17,8 @@ from condvln.evaluation.aggregate import (
     summary,
     sweep_summary,
 )
-from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation
+from condvln.evaluation.evaluate import AXES, Evaluation
+from condvln.evaluation.metrics import Better, Kind, Shown, keys_of, metrics_of
 from condvln.evaluation.task import Task
 
 __all__ = [
@@ -40,8 +41,6 @@ __all__ = [
     "twin_tables",
 ]
 
-Kind = Literal["text", "count", "metres", "percent", "number", "p"]
-
 
 @dataclass(frozen=True)
 class Column:
@@ -50,7 +49,7 @@ class Column:
     key: str
     heading: str
     kind: Kind
-    better: Literal["higher", "lower", ""] = ""
+    better: Better = ""
 
 
 @dataclass(frozen=True)
@@ -83,47 +82,15 @@ class Table:
     intervals: str = ""
 
 
-MAIN_COLUMNS: Final = (
-    Column("path_length", "TL", "metres"),
-    Column("navigation_error", "NE", "metres", "lower"),
-    Column("oracle_success", "OSR", "percent", "higher"),
-    Column("success", "SR", "percent", "higher"),
-    Column("spl", "SPL", "percent", "higher"),
-    Column("spl_route", "SPL-route", "percent", "higher"),
-    Column("ndtw", "nDTW", "percent", "higher"),
-    Column("sdtw", "SDTW", "percent", "higher"),
-    Column("cls", "CLS", "percent", "higher"),
-    Column("bsa_all", "BSA-all", "percent", "higher"),
-    Column("csr_all", "CSR-all", "percent", "higher"),
-    Column("bsa", "BSA (paper)", "percent", "higher"),
-    Column("csr", "CSR (paper)", "percent", "higher"),
-)
+def _columns(table: Shown) -> tuple[Column, ...]:
+    return tuple(Column(metric.key, metric.heading, metric.kind, metric.better) for metric in metrics_of(table))
 
-_TWIN: Final = ("navigation_error", "oracle_success", "success", "spl", "ndtw", "bsa_all", "csr_all", "csr")
-TWIN_COLUMNS: Final = tuple(column for column in MAIN_COLUMNS if column.key in _TWIN)
+
+MAIN_COLUMNS: Final = _columns("main")
+TWIN_COLUMNS: Final = _columns("twin")
 """Fewer measures, to leave room for the longer agent names."""
-
-BRANCH_COLUMNS: Final = (
-    Column("success", "SR", "percent", "higher"),
-    Column("leaf_correct", "right leaf", "percent", "higher"),
-    Column("wrong_branch", "wrong branch", "percent", "lower"),
-    Column("no_commit", "no commit", "percent", "lower"),
-    Column("stopped", "stopped", "percent"),
-    Column("steps", "steps", "number"),
-    Column("collisions", "collisions", "number", "lower"),
-    Column("unreachable", "unreachable", "percent"),
-    Column("over_budget", "over budget", "percent"),
-    Column("missing", "missing", "percent"),
-)
-
-_SWEEP_COLUMNS: Final = (
-    Column("oracle_success", "OSR", "percent", "higher"),
-    Column("success", "SR", "percent", "higher"),
-    Column("spl", "SPL", "percent", "higher"),
-    Column("bsa_all", "BSA-all", "percent", "higher"),
-    Column("csr_all", "CSR-all", "percent", "higher"),
-    Column("leaf_correct", "right leaf", "percent", "higher"),
-)
+BRANCH_COLUMNS: Final = _columns("branches")
+_SWEEP_COLUMNS: Final = _columns("sweep")
 
 _AGENT: Final = Column("agent", "agent", "text")
 _EPISODES: Final = Column("episodes", "n", "count")
@@ -157,7 +124,6 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
     found = [(e.agent, row) for e in evaluations for row in sweep_summary(e, seed=seed)]
     found.sort(key=lambda pair: pair[1].group["success_distance"])
     columns = (Column("success_distance", "τ", "metres"), _AGENT, *_SWEEP_COLUMNS, _EPISODES)
-    assert {column.key for column in _SWEEP_COLUMNS} == {*SWEPT}
     rows = tuple(
         (
             Cell(row.group["success_distance"]),
@@ -224,7 +190,7 @@ def divergence_table(evaluations: Sequence[Evaluation], tasks: Sequence[Task]) -
 
 def comparison_table(
     evaluations: Sequence[Evaluation],
-    measures: Sequence[str] = ("success", "spl", "ndtw", "csr_all", "leaf_correct"),
+    measures: Sequence[str] = keys_of("comparison"),
     *,
     seed: int = 0,
 ) -> Table:

@@ -10,17 +10,16 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from condvln.episodes.identity import numeric_id
-from condvln.export.axes import observability_class, route_class, words_class
-from condvln.export.densify import densify
+from condvln.export.splits import observability_class, route_class, words_class
 from condvln.formats.json_entries import entries, parsed
 from condvln.manifest import read_manifest
+from condvln.navigation.points import densify
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
 from schemas.vlnce import GroundTruth
 
-__all__ = ["LeafTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
+__all__ = ["LeafTask", "LookingTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
 
 Points = npt.NDArray[np.float64]
 
@@ -30,6 +29,7 @@ class LeafTask:
     """One leaf of a task.
 
     goals : (k, 3) metres, the one nearest to the start first; subgoals : (m, 3) in order; path : (c, 3) its corners
+    objects : ids of the objects of the subgoals and, last, of the goals
     """
 
     goals: Points
@@ -37,12 +37,25 @@ class LeafTask:
     route_length: float
     geodesic_distance: float
     path: Points
+    objects: tuple[str, ...]
 
     @property
     def end(self) -> Points:
         """The goal point (3,) at the end of the leaf's path."""
         found: Points = self.goals[np.square(self.goals - self.path[-1]).sum(axis=1).argmin()]
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class LookingTask:
+    """The looking path of a task.
+
+    reference : (r, 3) dense locations, metres; length : metres; actions : those of the walk along it, the last is STOP
+    """
+
+    reference: Points
+    length: float
+    actions: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +68,7 @@ class Task:
     axes : the episode's groups in the tables: source, scene, category, depth, chain, composition, observability,
         moves, and the classes of the route's length and of the number of words
     reference : (r, 3) dense locations of the gold route
+    looking : None where the format has no headings, so that nothing can be looked at
     success_distance : τ, metres
     """
 
@@ -73,6 +87,7 @@ class Task:
     navmesh: str
     navmesh_sha256: str
     episode_hash: str = ""
+    looking: LookingTask | None = None
 
     def __repr__(self) -> str:
         return f"Task({self.episode_id}, {self.axes['scene']}: {self.text!r})"
@@ -89,11 +104,8 @@ class Task:
 
     @property
     def aliases(self) -> tuple[str, ...]:
-        """Other ids of the episode: its hash (the id in former releases), and the hash as a number (the id in RxR files
-        of former releases).
-        """
-        known = self.episode_hash or self.episode_id
-        return tuple(name for name in (known, str(numeric_id(known))) if name != self.episode_id)
+        """Other ids of the episode in files of predictions: its hash."""
+        return (self.episode_hash,) if self.episode_hash else ()
 
     @property
     def gold(self) -> LeafTask:
@@ -101,8 +113,10 @@ class Task:
         return self.leaves[self.gold_leaf]
 
 
-def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
-    """Return the task of a manifest row; without ``locations``, the densified gold path is the reference."""
+def task_of(row: ManifestEpisode, locations: Points | None = None, looking: Points | None = None) -> Task:
+    """Return the task of a manifest row; without ``locations``, and those of the ``looking`` path, the densified paths
+    are the references.
+    """
     leaves = tuple(
         LeafTask(
             np.array(leaf.goals, dtype=np.float64),
@@ -110,6 +124,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
             leaf.route_length,
             leaf.geodesic_distance,
             np.array(leaf.reference_path, dtype=np.float64),
+            (*(subgoal.object_id for subgoal in leaf.subgoals), leaf.object_id),
         )
         for leaf in sorted(row.leaves, key=lambda leaf: leaf.leaf)
     )
@@ -142,24 +157,35 @@ def task_of(row: ManifestEpisode, locations: Points | None = None) -> Task:
         row.navmesh,
         row.navmesh_sha256,
         row.episode_hash,
+        _looking(row, looking),
     )
 
 
-def read_tasks(manifest: Path, ground_truth: Path | None = None) -> Iterator[Task]:
-    """Yield the tasks of a split in the order of its manifest; ``ground_truth`` is the split's ``_gt`` file.
+def _looking(row: ManifestEpisode, locations: Points | None) -> LookingTask | None:
+    if row.looking_path is None or row.looking_length is None or row.looking_actions is None:
+        return None
+    reference = densify(row.looking_path) if locations is None else locations
+    return LookingTask(reference, row.looking_length, row.looking_actions)
+
+
+def read_tasks(manifest: Path, ground_truth: Path | None = None, looking: Path | None = None) -> Iterator[Task]:
+    """Yield the tasks of a split in the order of its manifest; ``ground_truth`` is the split's ``_gt`` file, and
+    ``looking`` that of its looking paths.
 
     Raises
     ------
     FormatError : a line is not a manifest row, an id is repeated, or an episode has no ground truth
     """
-    locations = read_ground_truth(ground_truth) if ground_truth is not None else None
+    truths, looked = (None if path is None else read_ground_truth(path) for path in (ground_truth, looking))
+
+    def locations(row: ManifestEpisode, found: dict[str, Points] | None, path: Path | None) -> Points | None:
+        if found is not None and str(row.episode_id) not in found:
+            raise _damaged(manifest, f"episode {row.episode_id}", f"has no entry in {path}")
+        return None if found is None else found[str(row.episode_id)]
+
     for row in read_manifest(manifest):
-        if locations is None:
-            yield task_of(row)
-        elif str(row.episode_id) in locations:
-            yield task_of(row, locations[str(row.episode_id)])
-        else:
-            raise _damaged(manifest, f"episode {row.episode_id}", f"has no entry in {ground_truth}")
+        along = None if row.looking_path is None else locations(row, looked, looking)
+        yield task_of(row, locations(row, truths, ground_truth), along)
 
 
 def read_ground_truth(path: Path) -> dict[str, Points]:

@@ -15,12 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.stepped_episode import SteppedEpisode, heading_of
 from condvln.evaluation.task import Task
-from condvln.navigation.follower import VLN_CE, ActionSpace
+from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.sensors import noisy_move
+from schemas.config import NoiseConfig
+from schemas.errors import UsageError
 
-__all__ = ["Eyes", "Observation", "Policy", "SeenObject", "heading_of", "labels_in_view", "walk"]
+__all__ = ["Eyes", "Observation", "Policy", "SeenObject", "SteppedEpisode", "heading_of", "labels_in_view", "walk"]
 
 Points = npt.NDArray[np.float64]
 
@@ -148,3 +150,128 @@ def walk(
             policy.begin(observation)
         episode.take(policy.act(observation))
     return episode.prediction()
+
+
+_BLOCKED: Final = 1e-3
+
+
+def heading_of(rotation: npt.ArrayLike) -> float:
+    """Return the heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
+    values = np.asarray(rotation, np.float64)
+    return 2.0 * math.atan2(float(values[1]), float(values[3])) % (2.0 * math.pi)
+
+
+class SteppedEpisode:
+    """A walk through an episode, until STOP or the end of its step budget.
+
+    Parameters
+    ----------
+    max_steps : the episode's own budget if None
+    noise, seed : simulated actuation errors; without noise the steps equal Habitat's
+
+    Attributes
+    ----------
+    task : the episode
+    steps : actions taken so far
+    stopped : STOP was taken
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        pathfinder: Pathfinder,
+        *,
+        space: ActionSpace = VLN_CE,
+        sliding: bool = True,
+        max_steps: int | None = None,
+        noise: NoiseConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.task = task
+        self.limit = task.max_steps if max_steps is None else max_steps
+        self.steps = 0
+        self.stopped = False
+        self._space = space
+        self._pathfinder, self._sliding, self._seed = pathfinder, sliding, seed
+        self._noise = noise if noise is not None and (noise.step or noise.turn) else None
+        self._agent = Follower(pathfinder, space, sliding=sliding).stepped(task.start, heading_of(task.start_rotation))
+        self._positions: list[npt.NDArray[np.float32]] = [self._agent.position]
+        self._headings: list[float] = [self._agent.heading]
+        self._collisions: list[bool] = [False]
+
+    @property
+    def position(self) -> Points:
+        """The agent's position (3,) in metres, in Habitat's frame."""
+        return self._positions[-1].astype(np.float64)
+
+    @property
+    def heading(self) -> float:
+        """The agent's heading in radians, counter-clockwise from −z."""
+        return self._headings[-1]
+
+    @property
+    def collided(self) -> bool:
+        """Whether the last forward step collided."""
+        return self._collisions[-1]
+
+    @property
+    def collisions(self) -> int:
+        """Number of forward steps that collided so far."""
+        return sum(self._collisions)
+
+    @property
+    def out_of_steps(self) -> bool:
+        """Whether the step budget is used up."""
+        return self.steps >= self.limit
+
+    def take(self, action: int) -> None:
+        """Take one action: STOP 0, FORWARD 1, LEFT 2 or RIGHT 3.
+
+        Raises
+        ------
+        UsageError : the action is unknown, or the episode is over
+        """
+        if action not in (STOP, FORWARD, LEFT, RIGHT):
+            raise UsageError(
+                f"{action!r} is not an action", place=f"episode {self.task.episode_id}", remedy="Answer 0, 1, 2 or 3"
+            )
+        if self.stopped or self.out_of_steps:
+            raise UsageError(
+                "the episode is over", place=f"episode {self.task.episode_id}", remedy="Start another episode"
+            )
+        before = self._positions[-1]
+        if self._noise is None:
+            self._agent.take(action)
+            after, heading = self._agent.position, self._agent.heading
+        else:
+            after, heading = self._stagger(action, self._noise)
+        self.stopped = action == STOP
+        self.steps += 1
+        moved = float(np.linalg.norm(after - before))
+        self._positions.append(after)
+        self._headings.append(heading)
+        self._collisions.append(action == FORWARD and moved < self._space.forward - _BLOCKED)
+
+    def prediction(self) -> Prediction:
+        """The trajectory so far, in the form that is scored and written."""
+        return Prediction(
+            self.task.episode_id,
+            np.array(self._positions, dtype=np.float64),
+            self.stopped,
+            True,
+            np.array(self._collisions),
+            np.array(self._headings),
+        )
+
+    def _stagger(self, action: int, noise: NoiseConfig) -> tuple[npt.NDArray[np.float32], float]:
+        """Return the agent's position and heading after an action, with simulated actuation noise."""
+        names = (self.task.episode_id, self.steps)
+        forward, turn = noisy_move(self._space.forward, math.radians(self._space.turn), noise, self._seed, names)
+        place, heading = self._positions[-1], self._headings[-1]
+        if action == FORWARD:
+            ahead = place + np.array([-math.sin(heading), 0.0, -math.cos(heading)]) * forward
+            step = self._pathfinder.try_step if self._sliding else self._pathfinder.try_step_no_sliding
+            place = np.asarray(step(place, ahead), np.float32)
+        elif action in (LEFT, RIGHT):
+            heading = (heading + (turn if action == LEFT else -turn)) % (2 * math.pi)
+        return place, heading

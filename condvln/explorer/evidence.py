@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from condvln.explorer.measures import RoomMeasures, bearing_criteria, decided
+from condvln.explorer.measures import RoomMeasures, bearing_criteria, decided, said_of
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
 from condvln.scene import Scene
@@ -119,36 +119,8 @@ def rule_of(qualifier: Qualifier | None, thresholds: Thresholds) -> str:
     """Return in words what a condition's predicate asks for."""
     if qualifier is None:
         return "the room holds such an object that can be seen"
-    t, predicate = thresholds, qualifier.predicate
-    rules = {
-        "near": f"the things are at most {t.near_true:g} m apart; false from {t.near_false:g} m on the ground",
-        "far from": f"the things are at least {t.far_true:g} m apart; false up to {t.far_false:g} m",
-        "on": f"its bottom is within {t.on_gap_true:g} m of the anchor's top, with half of its footprint over it, or "
-        f"the source says so; false if the footprints are apart or its bottom is {t.on_gap_false:g} m higher",
-        "in": f"{t.in_share_true:.0%} of it is inside the open anchor; false if they are apart",
-        "between": "it is on the floor, close to the line between the two, about half way along it",
-    }
-    for way, word in (("higher", "over"), ("lower", "below")):
-        rules[f"{way} than"] = (
-            f"its centre is at least {t.height_true:g} m {word} the anchor's and its top {t.top_true:g} m; "
-            f"false if the anchor's are {t.other_way:g} m {word} it"
-        )
-    for name in ("above", "below"):
-        rules[name] = (
-            f"the centres are {t.height_true:g} m apart in height and at most {t.over_horizontal_true:g} m on the "
-            f"ground, with a gap; false up to {t.height_false:g} m, or from {t.over_apart_false:g} m between footprints"
-        )
-    if predicate in BEARINGS:
-        return (
-            f"its centre is within {t.bearing_true:g}° of {predicate} as one starts, the whole of it within "
-            f"{t.bearing_false:g}°; false from {t.bearing_false:g}°"
-        )
-    direction = predicate.removesuffix(" of")
-    compass = (
-        f"its centre is within {t.sector_true:g}° of {direction} of the anchor's, and within {t.sector_edge:g}° from "
-        f"the anchor's nearest point and with its own; false if all three are beyond {t.sector_denied:g}°"
-    )
-    return rules.get(predicate, compass)
+    way = qualifier.predicate.removesuffix(" of")
+    return str(said_of(qualifier.predicate)["rule"]).format(t=thresholds, way=way)
 
 
 def _margin(thing: Document) -> float:

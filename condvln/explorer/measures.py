@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from condvln.relations.bearing import BEARING_DEGREES, sighted
-from condvln.relations.compass import COMPASS, edge_azimuths, sector_deviation
-from condvln.relations.holding import holding_of
-from condvln.relations.metrics import AABB, SPHERE, millimetres, pair_metrics
+from condvln.relations.decisions import UNITS, bounds_of, deviations, quantities
+from condvln.relations.directions import BEARING_DEGREES, COMPASS, edge_azimuths, sighted
+from condvln.relations.metrics import millimetres, pair_metrics
 from condvln.relations.pieces import Pieces
-from condvln.relations.stacking import stacking_of
+from condvln.relations.stacking import holding_of, stacking_of
 from condvln.scene import RoomArrays
 from schemas.config import Thresholds
 
-__all__ = ["Criterion", "RoomMeasures", "bearing_criteria", "decided"]
+__all__ = ["Criterion", "RoomMeasures", "bearing_criteria", "decided", "said_of"]
 
 F64 = NDArray[np.float64]
 Bound = tuple[str, float]
@@ -34,6 +36,22 @@ _BY_SOURCE: Final = frozenset(("on", "in"))
 """Predicates that the source may affirm or deny where boxes do not decide."""
 _ON_ALL: Final = frozenset(("higher than", "lower than", *COMPASS))
 """Predicates that are false only if every criterion says so; for the others, one criterion is enough."""
+
+_SHOWN: Final = {"m": (1.0, "m"), "mm": (0.001, "m"), "share": (100.0, "%"), "°": (1.0, "°")}
+"""Factor and unit with which the page shows the units of quantities."""
+
+
+@cache
+def _said() -> dict[str, Any]:
+    known: dict[str, Any] = yaml.safe_load(files("condvln.explorer").joinpath("predicates.yaml").read_text("utf-8"))
+    return known
+
+
+def said_of(predicate: str) -> Mapping[str, Any]:
+    """Return how the page words a predicate: its "rule", and its "quantities" by name; both empty if it has none."""
+    kind = "compass" if predicate in COMPASS else "bearing" if predicate in BEARING_DEGREES else predicate
+    found: Mapping[str, Any] = _said().get(kind, {"rule": "", "quantities": {}})
+    return found
 
 
 @dataclass(frozen=True)
@@ -124,13 +142,14 @@ class RoomMeasures:
 
     def __init__(self, arrays: RoomArrays, thresholds: Thresholds) -> None:
         self._t = thresholds
-        self._pieces = Pieces.of(arrays)
-        self._stacking = stacking_of(self._pieces, holding_of(arrays), thresholds)
-        parts = self._pieces.arrays
-        self._metrics = pair_metrics(parts.centers, parts.aabb_min, parts.aabb_max, parts.radius)
-        self._edges = edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max)))
-        self._radius, self._centers = parts.radius, parts.centers
-        self._of = {name: np.flatnonzero(self._pieces.owner == k).tolist() for k, name in enumerate(arrays.object_ids)}
+        pieces = Pieces.of(arrays)
+        parts = pieces.arrays
+        stacking = stacking_of(pieces, holding_of(arrays), thresholds)
+        metrics = pair_metrics(parts.centers, parts.aabb_min, parts.aabb_max, parts.radius)
+        edges = edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max)))
+        self._azimuths, self._centers = np.stack([metrics.azimuth, *edges]), parts.centers
+        self._measured = quantities(stacking, metrics, parts.radius, np.full_like(metrics.used, np.nan))
+        self._of = {name: np.flatnonzero(pieces.owner == k).tolist() for k, name in enumerate(arrays.object_ids)}
 
     def criteria(
         self, predicate: str, subject: str, anchors: Sequence[str], surface: float | None = None
@@ -148,83 +167,24 @@ class RoomMeasures:
         return [self._pair(predicate, i, j, surface) for i in own[0] or () for j in own[1] or ()]
 
     def _pair(self, predicate: str, i: int, j: int, surface: float | None) -> list[Criterion]:
-        t, s, metrics = self._t, self._stacking, self._metrics
-        used, horizontal = float(metrics.used[i, j]), float(metrics.horizontal[i, j])
-        apart = float(s.apart[i, j]) / 1000.0
-        if predicate == "near":
-            return self._near(i, j, surface)
-        if predicate == "far from":
-            return [Criterion("distance", used, "m", ("≥", t.far_true), ("≤", t.far_false))]
-        if predicate == "on":
-            gap = float(s.gap[i, j]) / 1000.0
-            share = 100.0 * float(s.covered[i, j])
-            return [
-                Criterion(
-                    "height of its bottom over the anchor's top", gap, "m", ("±", t.on_gap_true), ("≥", t.on_gap_false)
-                ),
-                Criterion("part of its footprint over the anchor", share, "%", ("≥", 100.0 * t.on_footprint_true)),
-                Criterion("distance between the footprints", apart, "m", None, (">", 0.0)),
-            ]
-        if predicate == "in":
-            share, away = 100.0 * float(s.inside[i, j]), float(s.distance[i, j]) / 1000.0
-            return [
-                Criterion("part of it inside the anchor", share, "%", ("≥", 100.0 * t.in_share_true)),
-                Criterion("distance", away, "m", None, (">", 0.0)),
-            ]
-        if predicate in ("higher than", "lower than", "above", "below"):
-            way = "height" if predicate in ("higher than", "above") else "depth"
-            side = "over" if way == "height" else "below"
-            over, under = (i, j) if way == "height" else (j, i)
-            rise = float(s.rise[over, under]) / 1000.0
-            low = -t.other_way if predicate in _ON_ALL else t.height_false
-            centre = Criterion(f"{way} of its centre {side} the anchor's", rise, "m", ("≥", t.height_true), ("≤", low))
-            if predicate in _ON_ALL:
-                tops = float(s.top_rise[over, under]) / 1000.0
-                name = f"{way} of its top {side} the anchor's"
-                return [centre, Criterion(name, tops, "m", ("≥", t.top_true), ("≤", low))]
-            share = 100.0 * float(metrics.footprint_overlap[i, j])
-            gap = float(s.gap[over, under]) / 1000.0
-            return [
-                centre,
-                Criterion("distance of the centres on the ground", horizontal, "m", ("≤", t.over_horizontal_true)),
-                Criterion("shared part of the smaller footprint", share, "%", ("≥", 100.0 * t.over_footprint_true)),
-                Criterion("gap between them in height", gap, "m", ("≥", t.over_gap_true)),
-                Criterion("distance between the footprints", apart, "m", None, ("≥", t.over_apart_false)),
-            ]
+        measured, words = self._measured, said_of(predicate)["quantities"]
+        if not words:
+            return []
+        way = predicate.removesuffix(" of")
         if predicate in COMPASS:
-            seen = np.array([azimuth[i, j] for azimuth in (metrics.azimuth, *self._edges)])
-            off, *edges = sector_deviation(seen, COMPASS.index(predicate)).tolist()
-            level = abs(float(metrics.elevation[i, j]))
-            name = f"angle away from {predicate.removesuffix(' of')}"
-            return [
-                Criterion(name, off, "°", ("≤", t.sector_true), (">", t.sector_denied)),
-                *(
-                    Criterion(f"{name}, {which}", edge, "°", ("≤", t.sector_edge), (">", t.sector_denied))
-                    for which, edge in zip(
-                        ("from the anchor's nearest point", "of its nearest point"), edges, strict=True
-                    )
-                ),
-                Criterion("angle above or below level", level, "°", ("<", t.level)),
-                Criterion("distance of the centres on the ground", horizontal, "m", ("≥", t.sector_horizontal_true)),
-            ]
-        return []
-
-    def _near(self, i: int, j: int, surface: float | None) -> list[Criterion]:
-        t, s, metrics = self._t, self._stacking, self._metrics
-        kind, ground = metrics.used_metric[i, j], np.nan
-        if kind == AABB:
-            ground = float(s.apart[i, j]) / 1000.0
-        elif kind == SPHERE:
-            ground = max(float(metrics.horizontal[i, j] - self._radius[i] - self._radius[j]), 0.0)
-        air = max(float(np.fmax(s.gap[i, j], s.gap[j, i])) / 1000.0, 0.0)
-        found = [Criterion("distance", float(metrics.used[i, j]), "m", ("≤", t.near_true))]
-        if surface is not None:
-            found.append(Criterion("distance between the surfaces", surface, "m", ("≤", t.near_true)))
-        return [
-            *found,
-            Criterion("air between them in height", air, "m", ("≤", t.near_over)),
-            Criterion("distance on the ground", ground, "m", None, ("≥", t.near_false)),
-        ]
+            measured = measured | deviations(self._azimuths, predicate)
+        if predicate in ("lower than", "below"):
+            i, j = j, i
+        found = []
+        for quantity, true, false in bounds_of(predicate, self._t, denied=True):
+            value = surface if quantity == "surface distance" else float(measured[quantity][i, j])
+            if quantity == "air":
+                value = max(float(measured[quantity][i, j]), 0.0)
+            if value is not None and quantity in words:
+                scale, unit = _SHOWN[UNITS[quantity]]
+                bounds = [None if one is None else (one[0], one[1] * scale) for one in (true, false)]
+                found.append(Criterion(words[quantity].format(way=way), value * scale, unit, *bounds))
+        return found
 
     def _between(self, i: int, a: int, b: int) -> list[Criterion]:
         t, ground = self._t, self._centers[:, [0, 2]]

@@ -27,7 +27,7 @@ Point = tuple[float, float]
 
 def plan_picture(plan: Mapping[str, Any], episode: Mapping[str, Any]) -> bytes:
     """Return a scene's plan with an episode's start, stops and ways as an SVG file; equal documents give equal bytes.
-    North is up. The gold leaf is green with a star.
+    North is up. The gold leaf is green with a star, the looking path to it dotted.
 
     Parameters
     ----------
@@ -40,6 +40,8 @@ def plan_picture(plan: Mapping[str, Any], episode: Mapping[str, Any]) -> bytes:
     drawing.objects()
     for leaf in sorted(episode["leaves"], key=lambda one: one["leaf"] == episode["gold"]):
         drawing.leaf(leaf, gold=leaf["leaf"] == episode["gold"])
+    if episode["looking"] is not None:
+        drawing.looking(episode["looking"]["path"])
     drawing.start()
     drawing.labels()
     return drawing.svg()
@@ -87,6 +89,10 @@ class _Drawing:
         for k, stop in enumerate(leaf["stops"]):
             self._mark(stop["at"], colour, str(k + 1), "circle")
         self._mark(leaf["path"][-1], colour, str(leaf["leaf"]), "star" if gold else "square")
+
+    def looking(self, path: Iterable[Sequence[float]]) -> None:
+        way = " ".join(self._at((corner[0], corner[2])) for corner in path)
+        self._add(f'<polyline points="{way}" fill="none" stroke="{GOLD}" stroke-width="2" stroke-dasharray="1 5"/>')
 
     def start(self) -> None:
         x, y = self._place((self._episode["start"][0], self._episode["start"][2]))

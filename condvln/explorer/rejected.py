@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from itertools import islice
 from typing import Any, Final
 
-from condvln.episodes.rules import REASONS as PLACING
+from condvln.episodes.candidates import REASONS as PLACING
+from condvln.instructions.degeneracy import REASONS as DRAWING
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
-from condvln.instructions.rejection import REASONS as DRAWING
 from condvln.labels import vocabulary
 from schemas.program import Condition, ObjectRef, Program
 

@@ -1,9 +1,15 @@
 """The folder of the page. It holds scripts and styles, which are copied unchanged, and chunks of data; each scene has
 its own chunks.
+
+Chunks are classic scripts, since a browser loads no JSON from ``file://``, but it loads scripts. A chunk is
+``explorer.receive("<name>", "<base64 of gzip of JSON>");``. The base64 alphabet holds no quote and no ``<``, so nothing
+in the data can end the script.
 """
 
 from __future__ import annotations
 
+import base64
+import gzip
 import re
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,13 +17,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from condvln.explorer.chunks import write_chunk
-from condvln.explorer.columns import Columns
-from condvln.explorer.walks import OUTCOMES, AgentResults
+import orjson
+
+from condvln.evaluation.metrics import metrics_of
+from condvln.explorer.agents import OUTCOMES, AgentResults
+from condvln.explorer.episode import episode_labels
 from condvln.formats.streams import atomic_stream
 from schemas.errors import UsageError
 
-__all__ = ["PAGE", "Site"]
+__all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes", "chunk_content", "write_chunk"]
 
 Document = dict[str, Any]
 PAGE: Final = "index.html"
@@ -140,12 +148,14 @@ class Site:
             "chunks": self._chunks,
             "texts": {"size": TEXTS_A_CHUNK, "chunks": self._text_chunks},
             "outcomes": list(OUTCOMES),
+            "metrics": [[metric.key, metric.heading, metric.kind] for metric in metrics_of("walks")],
             "agents": [_agent(name, own, columns["columns"]["id"]) for name, own in _by_name(agents).items()],
             **columns,
         }
         self._write("index", index)
         self._write("statistics", statistics or {})
-        self._write("agents", {"tables": list(tables)})
+        plotted = [[metric.key, metric.heading] for metric in metrics_of("plots")]
+        self._write("agents", {"tables": list(tables), "measures": plotted})
         for name in PARTS:
             with atomic_stream(self.out / (PAGE if name == "page.html" else name)) as stream:
                 stream.write(files("condvln.explorer").joinpath("page", name).read_bytes())
@@ -209,3 +219,107 @@ def _agent(agent: str, results: Sequence[AgentResults], ids: Sequence[str]) -> D
         "outcome": [0 if one is None else one[0] for one in found],
         "scores": {name: [None if one is None else one[1][name] for one in found] for name in measures},
     }
+
+
+_LEVEL: Final = 6
+_NAME: Final = re.compile(r"[a-z]+(-\d+)?")
+_PARTS: Final = re.compile(rb'explorer\.receive\("([a-z]+(?:-\d+)?)", "([A-Za-z0-9+/=]*)"\);\n')
+
+
+def chunk_bytes(name: str, document: Any, level: int = _LEVEL) -> bytes:
+    """Return the bytes of the script that holds a chunk; equal documents give equal bytes."""
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{name!r} is not the name of a chunk")
+    packed = gzip.compress(orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY), level, mtime=0)
+    return b'explorer.receive("%s", "%s");\n' % (name.encode(), base64.b64encode(packed))
+
+
+def chunk_content(data: bytes) -> tuple[str, Any]:
+    """Return the name and the document of a chunk; the inverse of :func:`chunk_bytes`."""
+    found = _PARTS.fullmatch(data)
+    if found is None:
+        raise ValueError("not a chunk")
+    return found[1].decode(), orjson.loads(gzip.decompress(base64.b64decode(found[2])))
+
+
+def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> Path:
+    """Write a chunk to ``<folder>/<name>.js``. Raises StoreError if the file can't be written."""
+    path = folder / f"{name}.js"
+    with atomic_stream(path) as stream:
+        stream.write(chunk_bytes(name, document, level))
+    return path
+
+
+NAMED: Final = ("split", "source", "category", "composition", "observability")
+"""Columns of names. A null is the name "unknown"."""
+NUMBERS: Final = ("depth", "chain", "moves", "words", "route_length", "geodesic_distance")
+UNKNOWN: Final = "unknown"
+
+
+class Columns:
+    """Collects one entry per episode."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, dict[str, int]] = {name: {} for name in (*NAMED, "label", "predicate")}
+        self._values: dict[str, list[Any]] = {
+            name: [] for name in ("id", "scene", "group", "gold_label", "gold_leaf", "leaves", *NAMED, *NUMBERS)
+        }
+        self._labels: tuple[list[int], list[int]] = ([0], [])
+        self._predicates: tuple[list[int], list[int]] = ([0], [])
+        self._groups: dict[tuple[int, str], int] = {}
+
+    def __len__(self) -> int:
+        return len(self._values["id"])
+
+    def add(self, row: Mapping[str, Any], scene: int) -> None:
+        """Add an episode by its manifest row; `scene` is the number of its scene."""
+        values = self._values
+        values["id"].append(str(row["episode_id"]))
+        values["scene"].append(scene)
+        group = row["group_id"]
+        # A group is within one scene, and its id is a name of that scene only.
+        values["group"].append(-1 if group is None else self._groups.setdefault((scene, group), len(self._groups)))
+        gold = next(leaf for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
+        values["gold_leaf"].append(gold["leaf"])
+        values["leaves"].append(len(row["leaves"]))
+        values["gold_label"].append(self._number("label", row["program"]["leaves"][gold["leaf"]]["moves"][-1]["label"]))
+        for name in NAMED:
+            values[name].append(self._number(name, self._named(row, name)))
+        for name in NUMBERS:
+            value = row[name]
+            values[name].append(round(value, 2) if isinstance(value, float) else value)
+        self._extend(self._labels, "label", episode_labels(row))
+        asked = {
+            "presence" if one["qualifier"] is None else one["qualifier"]["predicate"]
+            for one in row["program"]["conditions"]
+        }
+        self._extend(self._predicates, "predicate", sorted(asked))
+
+    def document(self) -> dict[str, Any]:
+        """Return ``columns``, one entry per episode; ``names``, to which the numbers in the columns refer; ``lists``,
+        the labels and predicates of all episodes, and the offsets at which those of each episode begin; and ``groups``,
+        the number of counterfactual groups.
+        """
+        return {
+            "names": {column: [*names] for column, names in self._names.items()},
+            "columns": self._values,
+            "lists": {
+                "label": {"offsets": self._labels[0], "values": self._labels[1]},
+                "predicate": {"offsets": self._predicates[0], "values": self._predicates[1]},
+            },
+            "groups": len(self._groups),
+        }
+
+    @staticmethod
+    def _named(row: Mapping[str, Any], name: str) -> str:
+        if name == "observability" and row[name] == "O0" and row.get("evidence_in_view"):
+            return "O0f"
+        return str(row[name]) if row[name] is not None else UNKNOWN
+
+    def _number(self, column: str, name: str) -> int:
+        names = self._names[column]
+        return names.setdefault(name, len(names))
+
+    def _extend(self, lists: tuple[list[int], list[int]], column: str, names: list[str]) -> None:
+        lists[1].extend(self._number(column, name) for name in names)
+        lists[0].append(len(lists[1]))

@@ -1,11 +1,15 @@
-"""The dataset card: a Hugging Face ``README.md`` whose numbers all come from the export's report."""
+"""The dataset card, a Hugging Face ``README.md``, and Croissant 1.0 metadata (``croissant.json``), with which dataset
+tools load the manifests directly. All numbers come from the export's report.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from typing import Final
+from importlib.resources import files
+from typing import Any, Final
 
+import orjson
 import yaml
 
 from condvln.export.report import ExportReport
@@ -13,7 +17,9 @@ from condvln.export.splits import SPLITS
 from condvln.sources.family import FAMILIES, composed_datasets
 from schemas.program import CATEGORIES
 
-__all__ = ["dataset_card"]
+__all__ = ["croissant", "dataset_card"]
+
+_NAME: Final = "CondVLN"
 
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _LARGEST: Final = "1M<n<10M"
@@ -31,11 +37,11 @@ _AXES: Final = (
 )
 
 
-def dataset_card(report: ExportReport, name: str) -> str:
+def dataset_card(report: ExportReport) -> str:
     """Return the dataset card of an export; equal reports give equal text."""
     sections = [
-        _front_matter(report, name),
-        f"# {name}",
+        _front_matter(report),
+        f"# {_NAME}",
         _introduction(report),
         "## Files",
         _files(report),
@@ -57,12 +63,12 @@ def dataset_card(report: ExportReport, name: str) -> str:
     return "\n\n".join(sections) + "\n"
 
 
-def _front_matter(report: ExportReport, name: str) -> str:
+def _front_matter(report: ExportReport) -> str:
     total = sum(report.episodes.values())
     size = next((label for limit, label in _SIZES if total < limit), _LARGEST)
     filled = [split for split in SPLITS if report.episodes.get(split)]
     fields = {
-        "pretty_name": name,
+        "pretty_name": _NAME,
         "language": [report.language],
         "license": "other",
         "license_name": "terms-of-the-sources",
@@ -106,10 +112,12 @@ _FILES: Final = """\
 | `vlnce/<split>/` | stock R2R_VLNCE v1-3 episodes and dense ground truth; load in an unmodified VLN-CE |
 | `ansr/<split>/` | the same with top-level `subgoals` (dataset type ANSR-v1) |
 | `rxr/<split>/` | the same as RxR-VLN-CE guide files |
+| `vlnce_looking/<split>/`, `ansr_looking/`, `rxr_looking/` | the same ids and texts; reference and truth are the \
+looking path, which sees the evidence of each condition before it acts on it |
 | `oracle/<split>/` | the oracle-linear twin: only the instruction differs, it tells the right branch alone |
 %s| `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
 | `navmeshes/` | navmeshes built for scenes that ship none |
-%s| `configs/` | configuration files for VLN-CE, habitat-lab, Open-Nav, VLN-Zero, NaVid and NaVILA |
+%s| `configs/` | configuration files for VLN-CE, habitat-lab and the agents that run on them |
 | `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
 | `origin.json` | the configuration, the code's versions and the scenes that it was made of |
 
@@ -117,7 +125,10 @@ Positions are metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y,
 
 
 _PLANS: Final = "| `pictures/` | the plans below |\n"
-_R2R: Final = "| `r2r/` | discrete R2R over Matterport viewpoints, of the scans of Matterport3D |\n"
+_R2R: Final = (
+    "| `r2r/` | discrete R2R over Matterport viewpoints, of the scans of Matterport3D; each path has its text three "
+    "times |\n"
+)
 
 
 def _files(report: ExportReport) -> str:
@@ -132,9 +143,9 @@ def _meshes(report: ExportReport) -> str:
     composed = composed_datasets(scene for found in report.scenes.values() for scene in found)
     if composed:
         text += (
-            f" Of {', '.join(composed)}, which come in parts, `condvln compose CONFIG --all data/scene_datasets` makes "
-            "these files on your own disk, each with its navmesh; with `--own-navmesh` it is the very one on which the "
-            "episodes were placed."
+            f" Of {', '.join(composed)}, which come in parts, `condvln export CONFIG --compose data/scene_datasets` "
+            "makes these files on your own disk, each with its navmesh; with `--own-navmesh` it is the one on which "
+            "the episodes were placed."
         )
     return text
 
@@ -267,3 +278,77 @@ def _budget(report: ExportReport) -> str:
 
 def _row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
+
+
+_FIELDS: Final = (
+    ("episode_id", "sc:Integer", "id, made from the hash"),
+    ("episode_hash", "sc:Text", "hash of the episode's content"),
+    ("split", "sc:Text", "train, val_seen, val_unseen or test"),
+    ("source", "sc:Text", "dataset that the scene is from"),
+    ("scene_id", "sc:Text", "scene"),
+    ("category", "sc:Text", "shape of the decision tree"),
+    ("depth", "sc:Integer", "deepest THEN-nesting"),
+    ("chain", "sc:Integer", "tests in the top chain"),
+    ("composition", "sc:Text", "C0, C1 or C2: how rooms of conditions and leaves differ"),
+    ("instruction_text", "sc:Text", "what the agent is told"),
+    ("gold_leaf", "sc:Integer", "leaf that the truths of the conditions lead to"),
+    ("success_distance", "sc:Float", "metres"),
+    ("max_steps", "sc:Integer", "step budget"),
+    ("geodesic_distance", "sc:Float", "start to goal, metres"),
+    ("route_length", "sc:Float", "start to goal by way of the subgoals, metres"),
+)
+
+
+def croissant(report: ExportReport) -> dict[str, Any]:
+    """Return the JSON-LD document of an export; every manifest is listed with its size and hash."""
+    manifests = [f"manifest/{split}.jsonl" for split in SPLITS if report.episodes.get(split)]
+    families = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
+    terms = [f"{FAMILIES[family].name}: {FAMILIES[family].terms}" for family in families if family in FAMILIES]
+    credits = [FAMILIES[family].credit for family in families if family in FAMILIES]
+    return {
+        "@context": orjson.loads(files("condvln.export").joinpath("croissant_context.json").read_bytes()),
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": _NAME,
+        "description": "Conditional vision-and-language navigation episodes, derived from the geometry of scenes.",
+        "citeAs": "; ".join([f"{_NAME}, snapshot {report.snapshot}", *credits]),
+        "license": "; ".join(terms) or "unknown",
+        "version": "1.0.0",
+        "identifier": report.snapshot,
+        "keywords": ["vision-and-language navigation", "embodied AI", "conditional instructions"],
+        "distribution": [
+            {
+                "@type": "cr:FileObject",
+                "@id": path,
+                "name": path,
+                "contentUrl": path,
+                "contentSize": f"{report.files[path].bytes} B",
+                "encodingFormat": "application/jsonlines",
+                "sha256": report.files[path].sha256,
+            }
+            for path in manifests
+        ],
+        "recordSet": [_record_set(path) for path in manifests],
+    }
+
+
+def _record_set(path: str) -> dict[str, Any]:
+    split = path.removeprefix("manifest/").removesuffix(".jsonl")
+    return {
+        "@type": "cr:RecordSet",
+        "@id": split,
+        "name": split,
+        "description": f"Episodes of the split {split}, one a line.",
+        "key": {"@id": f"{split}/episode_id"},
+        "field": [
+            {
+                "@type": "cr:Field",
+                "@id": f"{split}/{key}",
+                "name": key,
+                "description": description,
+                "dataType": kind,
+                "source": {"fileObject": {"@id": path}, "extract": {"column": key}},
+            }
+            for key, kind, description in _FIELDS
+        ],
+    }

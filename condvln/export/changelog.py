@@ -17,7 +17,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import orjson
-import pyarrow as pa
 
 from condvln.export.pool import FIT, ExportPool, Hashes, hashes_of
 from condvln.export.splits import SPLITS, Split
@@ -29,7 +28,6 @@ __all__ = ["Changes", "Generated", "PublishedEpisodes", "changes_between", "with
 _TITLE: Final = "# Changelog\n"
 _EXAMPLES: Final = 5
 _GEOMETRY: Final = ("start_position", "start_rotation", "leaves", "max_steps", "success_distance")
-_BLOCK: Final = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class PublishedEpisodes:
     """
 
     snapshot: str
-    names: pa.ChunkedArray
+    names: npt.NDArray[np.int64]
     ids: Hashes
     scene: npt.NDArray[np.int32]
     split: npt.NDArray[np.int8]
@@ -77,31 +75,24 @@ class PublishedEpisodes:
         """Build the episodes from triples (split, source, row). A row is one of a manifest or of the episodes table."""
         codes: dict[str, int] = {}
         navmeshes: dict[str, str] = {}
-        names: list[pa.Array] = []
-        block: list[str] = []
+        names, scenes, places = array("q"), array("i"), array("b")
         ids, text, geometry = array("Q"), array("Q"), array("Q")
-        scenes, splits = array("i"), array("b")
         for split, source, row in rows:
             scene = f"{source}/{row['scene_id']}"
             navmeshes[scene] = row["navmesh_sha256"]
-            told = orjson.dumps({key: row[key] for key in _GEOMETRY}).decode()
-            hashes = hashes_of(
-                [(row.get("episode_hash") or row["episode_id"],), (row["instruction_text"],), (told,)]
-            ).tolist()
+            posed = orjson.dumps({key: row[key] for key in _GEOMETRY}).decode()
+            hashes = hashes_of([(row["episode_hash"],), (row["instruction_text"],), (posed,)]).tolist()
             for column, value in zip((ids, text, geometry), hashes, strict=True):
                 column.append(value)
+            names.append(int(row["episode_id"]))
             scenes.append(codes.setdefault(scene, len(codes)))
-            splits.append(SPLITS.index(split))
-            block.append(str(row["episode_id"]))
-            if len(block) == _BLOCK:
-                names.append(pa.array(block, pa.string()))
-                block.clear()
+            places.append(SPLITS.index(split))
         return cls(
             snapshot,
-            pa.chunked_array([*names, pa.array(block, pa.string())]),
+            np.array(names, dtype=np.int64),
             np.array(ids, dtype=np.uint64),
             np.array(scenes, dtype=np.int32),
-            np.array(splits, dtype=np.int8),
+            np.array(places, dtype=np.int8),
             np.array(text, dtype=np.uint64),
             np.array(geometry, dtype=np.uint64),
             tuple(codes),
@@ -225,9 +216,9 @@ def _why_alone(
     """Return the reason why an episode is in only one of two exports. `own` and `row` give the episode in the export
     that has it; `navmeshes` and `other` belong to the export that lacks it.
     """
-    told = other.reason(int(own.ids[row])) if other is not None else None
-    if told is not None:
-        return f"{words.left_out}: {told or 'beyond the balance'}"
+    reason = other.reason(int(own.ids[row])) if other is not None else None
+    if reason is not None:
+        return f"{words.left_out}: {reason or 'beyond the balance'}"
     scene = own.scenes[own.scene[row]]
     if scene not in navmeshes:
         return words.scene

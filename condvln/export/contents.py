@@ -41,7 +41,7 @@ CERTIFICATES: Final = "certificates"
 SUMMARY: Final = "summary.json"
 
 _WITHOUT_HASH: Final = (INDEX, ORIGIN, CHANGELOG)
-_VIEWPOINTS: Final = ("viewpoints/R2R_*.json", "viewpoints/manifest/*.jsonl")
+_VIEWPOINTS: Final = ("viewpoints/R2R_*.json", "viewpoints/manifest/*.jsonl", f"viewpoints/{INDEX}")
 _PROOFS: Final = (f"{CERTIFICATES}/*.jsonl", f"{CERTIFICATES}/{SUMMARY}")
 
 
@@ -74,11 +74,17 @@ def exported_snapshot(folder: Path) -> str:
 
 
 def file_hashes(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of each file by path, as listed in the export's index; empty if the index can't be read."""
-    try:
-        return {str(path): str(entry["sha256"]) for path, entry in (read_index(folder) or {})["files"].items()}
-    except (KeyError, TypeError, AttributeError):
-        return {}
+    """Return the SHA-256 of each file by path, as listed in the indexes of the export and of its paths
+    over viewpoints; empty if neither can be read.
+    """
+    found: dict[str, str] = {}
+    for part in ("viewpoints/", ""):
+        try:
+            files = (read_index(folder / part) or {})["files"]
+            found |= {f"{part}{path}": str(entry["sha256"]) for path, entry in files.items()}
+        except (KeyError, TypeError, AttributeError):
+            continue
+    return found
 
 
 def owned_files(folder: Path) -> set[str]:
@@ -95,8 +101,7 @@ def owned_files(folder: Path) -> set[str]:
         if not path.is_absolute() and ".." not in path.parts:
             names.add(str(path))
     names |= {path.relative_to(folder).as_posix() for pattern in _VIEWPOINTS for path in folder.glob(pattern)}
-    # Left by an export of an earlier version that was killed while it wrote in place.
-    return names | {str(PurePosixPath(name).with_name(f".{PurePosixPath(name).name}.part")) for name in names}
+    return names
 
 
 def stale_proofs(folder: Path, files: dict[str, str]) -> set[str]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copyreg
 import io
-import math
 import pickle
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
@@ -23,9 +22,9 @@ import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
-from condvln.export.densify import densify_many
-from condvln.export.rows import Points, Row
-from condvln.navigation.connectivity import ViewpointGraph
+from condvln.export.tables import Row
+from condvln.navigation.graph_pathfinder import ViewpointGraph
+from condvln.navigation.points import densify_many
 from schemas.config.constants import PATH_SPACING
 
 __all__ = ["PLACES", "Places", "graph_keys", "pickled_graphs"]
@@ -37,8 +36,6 @@ _PROTOCOL: Final = 2
 """Pickle protocol: the oldest that names classes in a form that the loaders' Python 3.7 finds."""
 _CELL: Final = 1.0
 """Edge length of a cell in metres; each cell on a route becomes a node."""
-_MOST_SPARSE: Final = 64
-"""Largest ratio of the largest of some numbers to their count for which a table is made of them, not a sorted copy."""
 
 
 class Places:
@@ -96,65 +93,23 @@ class _GraphPickler(pickle.Pickler):
 
 
 def _of_routes(rows: Iterable[Row]) -> tuple[list[str], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Return a name and a point for each grid cell on the routes, and the edges between cells that a route connects."""
-    routes = [_corners(leaf["reference_path"]) for row in rows for leaf in row["leaves"]]
+    """Return a name and a point for each grid cell on the routes, and the edges between cells that a route connects. Of
+    the points of a cell, the least one is taken.
+    """
+    routes = [np.array(leaf["reference_path"], np.float64).reshape(-1, 3) for row in rows for leaf in row["leaves"]]
     if not routes:
         return [], np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
-    ends = np.cumsum([0, *map(len, routes)])
-    dense, ends = densify_many(np.concatenate(routes), ends, PATH_SPACING)
+    dense, ends = densify_many(np.concatenate(routes), np.cumsum([0, *map(len, routes)]), PATH_SPACING)
     route = np.repeat(np.arange(len(routes)), np.diff(ends))
     millimetres = np.rint(dense * 1000.0).astype(np.int64)
-    cell = _numbered(np.floor(millimetres / 1000.0 / _CELL).astype(np.int64))
-    points = _least_of_each(cell, millimetres) / 1000.0
+    cells = np.floor(millimetres / 1000.0 / _CELL).astype(np.int64)
+    cell = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.lexsort((*millimetres.T[::-1], cell))
+    points = millimetres[order[np.unique(cell[order], return_index=True)[1]]] / 1000.0
     crossing = (cell[1:] != cell[:-1]) & (route[1:] == route[:-1])
     one, other = cell[:-1][crossing], cell[1:][crossing]
-    pairs = np.unique(np.minimum(one, other) * len(points) + np.maximum(one, other))
-    return [f"p{k}" for k in range(len(points))], points, np.stack(np.divmod(pairs, max(len(points), 1)), axis=1)
-
-
-def _corners(path: Points | list[list[float]]) -> npt.NDArray[np.float64]:
-    """Return the points of a path, (n, 3)."""
-    return path.array if isinstance(path, Points) else np.array(path, dtype=np.float64).reshape(-1, 3)
-
-
-def _numbered(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the number of each row among the different rows in ascending order."""
-    keys = _keys(rows)
-    most = int(keys.max(initial=0))
-    if most > _MOST_SPARSE * (len(keys) + _MOST_SPARSE):
-        number: npt.NDArray[np.int64] = np.unique(keys, return_inverse=True)[1]
-        return number
-    there = np.zeros(most + 1, dtype=np.int64)
-    there[keys] = 1
-    found: npt.NDArray[np.int64] = (np.cumsum(there) - 1)[keys]
-    return found
-
-
-def _least_of_each(cell: npt.NDArray[np.int64], points: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the least of the points in each cell; `cell` has the number of the cell of each point."""
-    keys = _keys(points)
-    least = np.full(int(cell.max(initial=-1)) + 1, np.iinfo(np.int64).max)
-    np.minimum.at(least, cell, keys)
-    is_least = keys == least[cell]
-    at = np.zeros(len(least), dtype=np.int64)
-    at[cell[is_least]] = np.flatnonzero(is_least)
-    return points[at]
-
-
-def _keys(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return a number from 0 for each row, such that numbers compare as the rows do; equal rows have equal numbers."""
-    if not len(rows):
-        return np.zeros(0, dtype=np.int64)
-    # Column by column: NumPy's reduction of all three takes several times as long.
-    low = [int(column.min()) for column in rows.T]
-    spans = [int(column.max()) - least + 1 for column, least in zip(rows.T, low, strict=True)]
-    if math.prod(spans) >= 1 << 62:
-        number: npt.NDArray[np.int64] = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
-        return number
-    keys = np.zeros(len(rows), dtype=np.int64)
-    for column, least, span in zip(rows.T, low, spans, strict=True):
-        keys = keys * span + (column - least)
-    return keys
+    edges = np.unique(np.stack([np.minimum(one, other), np.maximum(one, other)], axis=1), axis=0)
+    return [f"p{k}" for k in range(len(points))], points, edges
 
 
 def _graph(names: list[str], positions: npt.NDArray[np.float64], edges: npt.NDArray[np.int64]) -> nx.Graph[str]:

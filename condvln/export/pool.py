@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.episodes.identity import colliding
-from condvln.export.tokens import longer_than
+from condvln.export.tokens import tokenize
 from schemas.config.constants import STEP_CEILING
 from schemas.errors import StoreError
 from schemas.program import CATEGORIES
@@ -167,8 +167,8 @@ class PoolBuilder:
         unfit = np.array([self._reasons(reason) for reason in reasons], dtype=np.int8)
         unfit[(unfit == FIT) & over] = self._reasons(_OVER_BUDGET)
         if self._max_tokens:
-            longer = longer_than(batch.column("instruction_text"), self._max_tokens)
-            unfit[(unfit == FIT) & longer] = self._reasons(_OVER_TOKENS)
+            longer = [len(tokenize(text)) > self._max_tokens for text in column["instruction_text"]]
+            unfit[(unfit == FIT) & np.array(longer, dtype=bool)] = self._reasons(_OVER_TOKENS)
         strata = [f"{c} {o or ''}".strip() for c, o in zip(column["composition"], column["observability"], strict=True)]
         texts = zip(scenes, starts, column["instruction_text"], strict=True)
         self._append(
@@ -212,32 +212,20 @@ class PoolBuilder:
         again[np.unique(columns.pop("text")[fit], return_index=True)[1]] = False
         columns["unfit"][fit[again]] = self._reasons(_REPEAT)
         offsets, conditions, statements, truths = self._conditions(columns["instruction"])
-
-        def codes(name: str) -> Codes:
-            return columns[name].astype(np.int64)
-
+        wide: dict[str, Any] = {
+            name: values.astype(np.int64) if values.dtype.kind == "i" else values for name, values in columns.items()
+        }
         return ExportPool(
             sources=self._sources.listed(),
             scenes=self._scenes.listed(),
             strata=self._strata.listed(),
             kinds=self._kinds.listed(),
             reasons=self._reasons.listed(),
-            grouped=columns["grouped"],
             offsets=offsets,
             conditions=conditions,
             statements=statements if self._with_statements else None,
             truths=truths,
-            episode=columns["episode"],
-            instruction=columns["instruction"],
-            unit=columns["unit"],
-            start=columns["start"],
-            source=codes("source"),
-            scene=codes("scene"),
-            category=codes("category"),
-            leaf=codes("leaf"),
-            n_leaves=codes("n_leaves"),
-            stratum=codes("stratum"),
-            unfit=codes("unfit"),
+            **wide,
         )
 
     def _refuse_repeats(self, names: Hashes) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from condvln.bias import BiasReport
 from condvln.bias.report import fields_of
 from condvln.export.selection import SelectionCell
-from schemas.version import SCHEMA_VERSION
+from schemas.base import SCHEMA_VERSION
 
 __all__ = ["CardPicture", "ExportReport", "WrittenFile"]
 
@@ -55,7 +55,7 @@ class ExportReport:
 
     snapshot: str
     texts: dict[str, Any] = field(default_factory=dict)
-    """The settings with which the texts were rendered; ``condvln oracle`` reuses them."""
+    """The settings with which the texts were rendered; ``condvln export --oracle`` reuses them."""
     episodes: dict[str, int] = field(default_factory=dict)
     scenes: dict[str, list[str]] = field(default_factory=dict)
     """Scenes of each split, as ``<source>/<scene>``."""
@@ -78,6 +78,8 @@ class ExportReport:
     """Largest step budget of an episode; of all episodes if the configuration sets one number."""
     least_steps: int = 0
     """Smallest step budget of an episode."""
+    looking_left_out: int = 0
+    """Number of episodes without a looking path, which are in no file of looking paths."""
     r2r_episodes: int = 0
     r2r_left_out: dict[str, int] = field(default_factory=dict)
     """Number of Matterport3D episodes that are not possible on the graph, by reason."""

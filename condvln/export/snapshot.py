@@ -1,10 +1,31 @@
-"""Write a snapshot to an export folder: choose splits, write every variant, count everything."""
+"""Write a snapshot to an export folder: choose splits, write every variant, count everything.
+
+An export has configuration files for the projects that run its episodes. The task files are complete: a project uses
+one instead of its own task file. The files are templates in ``configs/``, one a file of the export. Paths assume that
+the export is linked as ``data/datasets/condvln`` in the project's checkout, beside its ``data/scene_datasets``. Success
+distances are set for SR, SPL, OSR and BSA; nDTW keeps R2R's 3 m. Keys follow VLN-CE's ``vlnce_task.yaml`` and
+``rxr_vlnce_english_task.yaml``, habitat-lab's ``vln_r2r.yaml`` and the ANSR-v1 tasks of Open-Nav and VLN-Zero. What
+differs from these:
+
+* RxR has its own agent size, cameras and actions (turns of 30°), but the text sensor: its own sensor reads BERT
+  features of each text from files, which an export does not have. The truth's path names the guide: with ``{role}`` in
+  it, VLN-CE's nDTW opens a file for each of both roles, and an export has no followers.
+* StreamVLN's file (``config/vln_r2r.yaml``, JanusVLN's too) and InternNav's (``scripts/eval/configs/vln_r2r.yaml``)
+  are whole habitat-lab configurations. Without a package line, Hydra would put their keys below the folder's name.
+  InternNav's agent also looks up and down by 15°; its actions are numbers in the order of the mapping, and its
+  environment counts up to four looks around each step, so its limit of steps is ten times ours.
+* Open-Nav's limit of 20 steps counts waypoint moves. Its experiment file has what its loop and its policy read beside
+  the task (``run_OpenNav_gibson.yaml``): one process and one environment, since the loop follows the first one only.
+* NaVid outputs angles, which its evaluator splits into turns of 30°; it reads VLN-CE's top-down map, which looks each
+  scene up in a file of graphs. ``EARLY_STOP_…`` are the steps and consecutive turns after which its loop gives up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any, Final
 
 import numpy as np
@@ -12,30 +33,82 @@ import numpy.typing as npt
 import orjson
 
 from condvln.bias import BiasGate
-from condvln.collector import no_collection
-from condvln.export.card import dataset_card
+from condvln.export.card import croissant, dataset_card
 from condvln.export.changelog import Generated, PublishedEpisodes, changes_between, with_entry
-from condvln.export.consumers import consumer_files
 from condvln.export.contents import CHANGELOG, INDEX, document_digest, exported_snapshot
-from condvln.export.croissant import croissant
 from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, PoolBuilder
-from condvln.export.r2r import Graphs
 from condvln.export.report import CardPicture, ExportReport, WrittenFile
-from condvln.export.rows import Row, rows_of
-from condvln.export.scene_table import NavmeshBytes, SceneTable
 from condvln.export.selection import OUT, Selection, select
-from condvln.export.splits import SPLITS, Split
+from condvln.export.splits import SPLITS
 from condvln.export.staging import staged
-from condvln.export.tables import BATCH_ROWS, JoinedScene, SnapshotTables, instructions_by_scene, joined_by_scene
-from condvln.export.tokens import TOKEN_LENGTH, Vocabulary
-from condvln.export.variants import ORACLE_COLUMNS, LinearTexts, OracleText, oracle_text_of
-from condvln.export.vlnce import SCENE_PATTERNS
-from condvln.export.writer import ExportWriter, Layout
+from condvln.export.tables import NavmeshBytes, Row, SceneTable, SnapshotTables, joined_by_scene
+from condvln.export.tokens import Vocabulary
+from condvln.export.viewpoints import Graphs
+from condvln.export.vlnce import RXR_LANGUAGES
+from condvln.export.writer import ExportWriter, OracleText
 from condvln.formats.streams import atomic_stream
+from condvln.sources.family import composed_datasets
 from schemas.config import SplitsConfig
+from schemas.config.constants import STEP_CEILING
 from schemas.errors import InputError, StoreError
 
-__all__ = ["ExportConfig", "NavmeshBytes", "export_snapshot"]
+__all__ = ["NavmeshBytes", "consumer_files", "export_snapshot"]
+
+_AGENTS: Final = ("vlnce", "habitat_lab", "streamvln", "internnav", "open_nav", "vln_zero", "navid", "navila")
+_VLNCE: Final = "vlnce/condvln_task.yaml"
+_ORACLE: Final = "vlnce/condvln_oracle_task.yaml"
+_FALLBACK_SUCCESS_DISTANCE: Final = 1.0
+
+
+def consumer_files(report: ExportReport) -> dict[str, str]:
+    """Return the text of each configuration file by path below the export."""
+    radius, mixed = _success_distance(report)
+    values = {
+        "split": next((s for s in ("val_unseen", "test", "val_seen", "train") if report.episodes.get(s)), "val_unseen"),
+        "radius": str(radius),
+        "steps": str(report.most_steps or STEP_CEILING),
+        "language": RXR_LANGUAGES[report.language],
+        "variant": "vlnce",
+    }
+    other_distances = (
+        f"# Some episodes have another success distance than {radius:g} m (info.success_distance);\n"
+        "# `condvln evaluate` judges each by its own.\n"
+    )
+    composed = composed_datasets(scene for found in report.scenes.values() for scene in found)
+    folder = files("condvln.export").joinpath("configs")
+    templates = {
+        f"{agent}/{file.name}": file.read_text(encoding="utf-8")
+        for agent in _AGENTS
+        for file in folder.joinpath(agent).iterdir()
+    }
+    templates["navila/condvln_task.yaml"] = templates[_VLNCE]
+    if any("oracle/" in name for name in report.files):
+        templates[_ORACLE] = templates[_VLNCE]
+    texts = {}
+    for path, template in sorted(templates.items()):
+        root = "VLN_CE/" if path.startswith("vln_zero/") else ""
+        in_parts = (
+            f"# Of {', '.join(composed)}, which come in parts,\n"
+            f"# `condvln export CONFIG --compose {root}data/scene_datasets/` puts every scene where its episodes name "
+            "it.\n"
+        )
+        text = template.replace("$composed\n", in_parts if composed else "")
+        text = text.replace("$mixed\n", other_distances if mixed else "")
+        own = values | ({"variant": "oracle"} if path == _ORACLE else {})
+        texts[f"configs/{path}"] = Template(text).substitute(own)
+    return texts
+
+
+def _success_distance(report: ExportReport) -> tuple[float, bool]:
+    """Return the most frequent success distance, and whether other success distances occur."""
+    counts: dict[str, int] = {}
+    for split in SPLITS:
+        for value, count in report.shapes.get(split, {}).get("success_distance", {}).items():
+            counts[value] = counts.get(value, 0) + count
+    if not counts:
+        return _FALLBACK_SUCCESS_DISTANCE, False
+    return float(max(sorted(counts), key=lambda value: counts[value])), len(counts) > 1
+
 
 Complete = Callable[[Path, ExportReport], None]
 """Called with the new files and their report before they replace the former export."""
@@ -47,30 +120,27 @@ Progress = Callable[[int, int], None]
 """Called with the number of written episodes and of all episodes."""
 
 
-@dataclass(frozen=True)
-class ExportConfig:
-    """What is written, and in which form."""
+_TEXT_COLUMNS: Final = (
+    "scene_id",
+    "episode_id",
+    "instruction_id",
+    "gold_leaf",
+    "start_heading_degrees",
+    "instruction_text",
+)
+"""Columns of an episode from which the texts of its variants are made."""
 
-    splits: SplitsConfig = field(default_factory=SplitsConfig)
-    scene_patterns: Mapping[str, str] = field(default_factory=lambda: dict(SCENE_PATTERNS))
-    """Pattern of ``scene_id`` by family, with ``{family}``, ``{scene}`` and ``{name}``; the entry ``""`` is the
-    default.
-    """
-    token_length: int = TOKEN_LENGTH
-    vocabulary: Vocabulary | None = None
-    """Vocabulary of a trained agent to use in place of our own; unknown words become UNK."""
-    name: str = "CondVLN"
-    """Title of the dataset card."""
-    texts: Mapping[str, Any] = field(default_factory=dict)
-    """The settings with which the texts were rendered: ``seed``, ``preamble``, ``language``, ``voices``, ``length``."""
+SplitCodes = dict[str, npt.NDArray[np.int8]]
+"""By source, the split code of each row of the episodes table in reading order."""
 
 
 def export_snapshot(
     tables: SnapshotTables,
     out: Path,
-    config: ExportConfig | None = None,
+    splits: SplitsConfig | None = None,
     *,
-    oracle_texts: OracleText | None = None,
+    texts: Mapping[str, Any] | None = None,
+    oracle_text: OracleText | None = None,
     navmeshes: NavmeshBytes | None = None,
     graphs: Graphs | None = None,
     former: SnapshotTables | None = None,
@@ -78,7 +148,7 @@ def export_snapshot(
     progress: Progress | None = None,
     complete: Complete | None = None,
 ) -> ExportReport:
-    """Write all splits of a snapshot in one pass over its rows, one scene in memory at a time.
+    """Write all splits of a snapshot, one scene in memory at a time.
 
     The export is written beside ``out`` and replaces it atomically (``condvln.export.staging``);
     one process at a time may write an ``out``. The user's own files in ``out`` are kept. ``export.json`` lists all
@@ -87,7 +157,9 @@ def export_snapshot(
 
     Parameters
     ----------
-    oracle_texts : linear texts of the oracle twin; without them no twin is written
+    texts : the settings with which the texts were rendered: ``seed``, ``preamble``, ``language``, ``voices``,
+        ``length``
+    oracle_text : makes the linear texts of the oracle twin; without it no twin is written
     navmeshes : returns built navmeshes, which are then included
     graphs : connectivity by Matterport3D scan; with them the discrete R2R files are written
     former : the previously published snapshot. If the folder holds no export, ``CHANGELOG.md`` compares with this
@@ -99,87 +171,69 @@ def export_snapshot(
     ------
     StoreError : the snapshot has no episodes or is damaged, or a file can't be written
     """
-    # Rows and their JSON have no cycles: collecting garbage among them would take a tenth of the export.
-    with staged(out) as new, no_collection():
-        return _write_export(
-            tables,
-            out,
+    splits = splits or SplitsConfig()
+    report = ExportReport(tables.id, dict(texts or {}))
+    with staged(out) as new:
+        scenes = SceneTable(tables, navmeshes)
+        selection, splits_of, generated = _choose(tables, splits, scenes)
+        report.cells = selection.cells
+        report.left_out = dict(sorted(selection.left_out.items()))
+        report.empty_splits = {str(split): why for split, why in selection.empty.items()}
+        report.truth_imbalance = selection.truth_imbalance
+        vocabulary = Vocabulary.of(_texts(tables, splits_of, oracle_text))
+        report.vocabulary = len(vocabulary.words)
+        report.episodes = dict.fromkeys(SPLITS, 0)
+        report.scenes = {split: [] for split in SPLITS}
+        published, before = _formerly(out, exported_snapshot(out), tables.id, former, splits)
+        gate = BiasGate() if splits.bias != "off" else None
+        writer = ExportWriter(
             new,
-            config or ExportConfig(),
-            oracle_texts,
-            navmeshes,
-            graphs,
-            former,
-            pictures,
-            progress,
-            complete,
+            vocabulary,
+            scenes,
+            report,
+            sharded=splits.sharded,
+            oracle_text=oracle_text,
+            graphs=graphs,
+            show=None if gate is None else gate.add,
         )
-
-
-def _write_export(
-    tables: SnapshotTables,
-    out: Path,
-    new: Path,
-    config: ExportConfig,
-    oracle_texts: OracleText | None,
-    navmeshes: NavmeshBytes | None,
-    graphs: Graphs | None,
-    former: SnapshotTables | None,
-    pictures: Pictures | None,
-    progress: Progress | None,
-    complete: Complete | None,
-) -> ExportReport:
-    """Write the export that will replace ``out`` into the folder ``new``."""
-    report = ExportReport(tables.id, dict(config.texts))
-    scenes = SceneTable(tables, navmeshes)
-    selection, splits_of, generated = _choose(tables, config, scenes)
-    report.cells = selection.cells
-    report.left_out = dict(sorted(selection.left_out.items()))
-    report.empty_splits = {str(split): why for split, why in selection.empty.items()}
-    report.truth_imbalance = selection.truth_imbalance
-    kept = LinearTexts(oracle_texts) if callable(oracle_texts) else None
-    rows = _JoinedRows(tables, splits_of)
-    texts = _texts(rows, splits_of, oracle_texts if kept is None else kept.first)
-    vocabulary = config.vocabulary or Vocabulary.of(texts)
-    oracle_texts = oracle_texts if kept is None else kept.again
-    report.vocabulary = len(vocabulary.words)
-    report.episodes = dict.fromkeys(SPLITS, 0)
-    report.scenes = {split: [] for split in SPLITS}
-    published, before = _formerly(out, exported_snapshot(out), tables.id, former, config)
-    splits = config.splits
-    layout = Layout(dict(config.scene_patterns), config.token_length, splits.sharded, tables.id)
-    gate = BiasGate() if splits.bias != "off" else None
-    show = None if gate is None else gate.add
-    writer = ExportWriter(new, layout, vocabulary, scenes, report, oracle_texts=oracle_texts, graphs=graphs, show=show)
-    with writer.open():
-        _write_rows(rows, splits_of, writer, report, progress)
-    if gate is not None:
-        report.bias = gate.report()
-    for picture in pictures(new) if pictures is not None else ():
-        _write(new, picture.path, picture.data, report)
-        report.pictures[picture.path] = picture.caption
-    _write_documents(new, config.name, report)
-    _write_changelog(out, new, published, before, generated)
-    if complete is not None:
-        complete(new, report)
-    document = report.document()
-    document["digest"] = document_digest(document)
-    with atomic_stream(new / INDEX) as stream:
-        stream.write(orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n")
+        total = int(sum((codes != OUT).sum() for codes in splits_of.values()))
+        with writer.open():
+            for source, scene, chosen in _chosen(tables, splits_of):
+                writer.add_scene(source, scene, chosen)
+                if progress is not None:
+                    progress(sum(report.episodes.values()), total)
+        if gate is not None:
+            report.bias = gate.report()
+        for picture in pictures(new) if pictures is not None else ():
+            _write(new, picture.path, picture.data, report)
+            report.pictures[picture.path] = picture.caption
+        # The card, the metadata and the configuration files only restate the report.
+        for path, text in (consumer_files(report) | {"README.md": dataset_card(report)}).items():
+            _write(new, path, text.encode(), report)
+        _write(new, "croissant.json", _json(croissant(report)), report)
+        _write_changelog(out, new, published, before, generated)
+        if complete is not None:
+            complete(new, report)
+        document = report.document()
+        document["digest"] = document_digest(document)
+        with atomic_stream(new / INDEX) as stream:
+            stream.write(_json(document))
     return report
 
 
-def _write_rows(
-    rows: _JoinedRows,
-    splits_of: SplitCodes,
-    writer: ExportWriter,
-    report: ExportReport,
-    progress: Progress | None,
-) -> None:
-    total = int(sum((codes != OUT).sum() for codes in splits_of.values()))
+def _json(document: Mapping[str, Any]) -> bytes:
+    return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
+
+
+def _chosen(
+    tables: SnapshotTables, splits_of: SplitCodes, columns: Sequence[str] | None = None
+) -> Iterator[tuple[str, str, list[tuple[int, Row, Row]]]]:
+    """Yield (source, scene, episodes that are in a split) for each scene that has some; an episode as its split code,
+    its row, with all columns unless `columns` is given, and the row of its instruction.
+    """
     for source, codes in splits_of.items():
         at = 0
-        for scene, episodes, instructions in rows.of(source, None):
+        for scene, episodes, instructions in joined_by_scene(tables, source, columns):
             here = codes[at : at + len(episodes)].tolist()
             at += len(episodes)
             chosen = [
@@ -188,20 +242,7 @@ def _write_rows(
                 if code != OUT
             ]
             if chosen:
-                writer.add_scene(source, scene, chosen)
-            if progress is not None:
-                progress(sum(report.episodes.values()), total)
-
-
-def _write_documents(out: Path, name: str, report: ExportReport) -> None:
-    """Write the card, the metadata and the configuration files, which only restate the report."""
-    texts = {
-        **consumer_files(report),
-        "README.md": dataset_card(report, name),
-        "croissant.json": orjson.dumps(croissant(report, name), option=orjson.OPT_INDENT_2).decode() + "\n",
-    }
-    for path, text in texts.items():
-        _write(out, path, text.encode(), report)
+                yield source, scene, chosen
 
 
 def _write(out: Path, path: str, data: bytes, report: ExportReport) -> None:
@@ -211,7 +252,7 @@ def _write(out: Path, path: str, data: bytes, report: ExportReport) -> None:
 
 
 def _formerly(
-    out: Path, exported: str, now: str, former: SnapshotTables | None, config: ExportConfig
+    out: Path, exported: str, now: str, former: SnapshotTables | None, splits: SplitsConfig
 ) -> tuple[PublishedEpisodes | None, Generated | None]:
     """Return the episodes that the replaced export published, and all episodes of the snapshot from which that export
     was made. Either is None if unknown or if there is no such export.
@@ -225,19 +266,18 @@ def _formerly(
     if former is None or (exported and former.id != exported):
         return published, None
     try:
-        _, splits_of, generated = _choose(former, config, SceneTable(former, None))
+        _, splits_of, generated = _choose(former, splits, SceneTable(former, None))
         if published is None:
-            published = PublishedEpisodes.of_rows(former.id, _chosen_rows(former, splits_of))
+            rows = (
+                (SPLITS[code], source, row)
+                for source, _, chosen in _chosen(former, splits_of)
+                for code, row, _ in chosen
+            )
+            published = PublishedEpisodes.of_rows(former.id, rows)
     # the former snapshot has no episodes or is damaged; the new one is exported all the same
     except (StoreError, InputError):
         return published, None
     return published, generated
-
-
-def _chosen_rows(tables: SnapshotTables, splits_of: SplitCodes) -> Iterator[tuple[Split, str, Row]]:
-    for source, codes in splits_of.items():
-        rows = (row for batch in tables.batches("episodes", source) for row in rows_of(batch))
-        yield from ((SPLITS[code], source, row) for row, code in zip(rows, codes.tolist(), strict=True) if code != OUT)
 
 
 def _write_changelog(
@@ -255,47 +295,10 @@ def _write_changelog(
             stream.write(text.encode())
 
 
-ROWS_KEPT: Final = BATCH_ROWS
-"""Number of episodes up to which the rows of a source are kept: as many as are decoded at a time."""
-
-INSTRUCTIONS_KEPT: Final = 6 * BATCH_ROWS
-"""Number of episodes up to which the instructions of a source are kept from the first pass for the second one: up to
-60 MB.
-"""
-
-SplitCodes = dict[str, npt.NDArray[np.int8]]
-"""By source, the split code of each row of the episodes table in reading order."""
-
-
-class _JoinedRows:
-    """The rows of a snapshot scene by scene, for two passes. Those of a small source are decoded once and kept, of a
-    larger one the instructions.
-    """
-
-    def __init__(self, tables: SnapshotTables, splits_of: SplitCodes) -> None:
-        self.tables = tables
-        self._few = {source for source, codes in splits_of.items() if len(codes) <= ROWS_KEPT}
-        self._kept: dict[str, list[JoinedScene]] = {}
-        self._some = {source for source, codes in splits_of.items() if len(codes) <= INSTRUCTIONS_KEPT}
-        self._told: dict[str, list[tuple[str, list[Row]]]] = {}
-
-    def of(self, source: str, columns: Sequence[str] | None) -> Iterable[JoinedScene]:
-        """Return what :func:`joined_by_scene` yields, with at least the `columns` of the episodes; all if None."""
-        if source not in self._few:
-            told = self._told.get(source)
-            if told is None and source in self._some:
-                told = [*instructions_by_scene(self.tables, source)]
-                self._told = {source: told}
-            return joined_by_scene(self.tables, source, columns, told)
-        if source not in self._kept:
-            self._kept = {source: list(joined_by_scene(self.tables, source))}
-        return self._kept[source]
-
-
 def _choose(
-    tables: SnapshotTables, config: ExportConfig, scenes: SceneTable
+    tables: SnapshotTables, splits: SplitsConfig, scenes: SceneTable
 ) -> tuple[Selection, SplitCodes, Generated]:
-    builder = PoolBuilder(config.splits.max_tokens, statements=config.splits.statements == "even")
+    builder = PoolBuilder(splits.max_tokens, statements=splits.statements == "even")
     counts: dict[str, int] = {}
     for source in tables.sources:
         builder.add_instructions(source, tables.batches("instructions", source, INSTRUCTION_COLUMNS))
@@ -304,25 +307,16 @@ def _choose(
             builder.add_episodes(source, batch, barred)
             counts[source] = counts.get(source, 0) + batch.num_rows
     pool = builder.build()
-    selection = select(pool, config.splits)
+    selection = select(pool, splits)
     ends = np.cumsum([counts.get(source, 0) for source in tables.sources])[:-1]
     splits_of = dict(zip(tables.sources, np.split(selection.split, ends), strict=True))
     return selection, splits_of, Generated.of(pool)
 
 
-def _texts(rows: _JoinedRows, splits_of: SplitCodes, oracle_texts: OracleText | None) -> Iterator[str]:
+def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_text: OracleText | None) -> Iterator[str]:
     """Yield all texts of all splits, including the oracle twins."""
-    for source, codes in splits_of.items():
-        at = 0
-        if oracle_texts is None:
-            for batch in rows.tables.batches("episodes", source, ("instruction_text",)):
-                texts = batch.column(0).to_pylist()
-                yield from (text for text, code in zip(texts, codes[at:], strict=False) if code != OUT)
-                at += len(texts)
-            continue
-        for _, episodes, instructions in rows.of(source, ORACLE_COLUMNS):
-            for row in episodes:
-                if codes[at] != OUT:
-                    yield row["instruction_text"]
-                    yield oracle_text_of(oracle_texts, row, instructions[row["instruction_id"]])
-                at += 1
+    for _, _, chosen in _chosen(tables, splits_of, _TEXT_COLUMNS):
+        for _, row, instruction in chosen:
+            yield row["instruction_text"]
+            if oracle_text is not None:
+                yield oracle_text(row, instruction)

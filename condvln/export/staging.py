@@ -5,13 +5,15 @@ An export folder ``NAME`` may temporarily have three siblings: ``.NAME.new`` is 
 systems that can't exchange two folders. A killed process leaves some of them, and the next export removes them, see
 :func:`recover`.
 
-The user's own files in the export's folder are kept: they are linked into the new one before the exchange.
+The user's own files in the export's folder are kept: they are linked into the new one before the exchange. One command
+at a time writes to a folder: it takes the lock (:func:`alone_in`) before its work begins.
 """
 
 from __future__ import annotations
 
 import ctypes
 import errno
+import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -24,13 +26,14 @@ from condvln.export.contents import file_hashes, owned_files, stale_proofs
 from condvln.formats.streams import sync
 from schemas.errors import StoreError
 
-__all__ = ["check_place", "placed", "recover", "staged"]
+__all__ = ["alone_in", "check_place", "placed", "recover", "staged"]
 
 _AT_FDCWD: Final = -100
 _RENAME_EXCHANGE: Final = 2
 _NO_EXCHANGE: Final = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
 """Errors of systems that can't exchange two names atomically (NFS, kernels before 3.15)."""
 _NO_LINK: Final = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EACCES}
+_TRIES: Final = 100
 _REMEDY: Final = "The existing export is unchanged. Free some space or choose another export folder, then export again."
 
 
@@ -264,3 +267,61 @@ def _refusals(where: Path) -> Iterator[None]:
         raise StoreError(
             f"the export can't replace the old one: {error.strerror or error}", where=where, remedy=_REMEDY
         ) from error
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Hold the lock of an export's folder on this machine, and remove what a killed export left beside it.
+
+    The lock is the file ``.NAME.lock`` beside the folder, since the folder itself is replaced. It goes with its holder:
+    one that is killed leaves the file and blocks nobody. A file system that knows no locks is taken as it is.
+
+    Raises
+    ------
+    StoreError : another command holds it, or an export can't be written there
+    """
+    check_place(folder)
+    here = placed(folder)
+    path = here.with_name(f".{here.name}.lock")
+    held = _held(path, here)
+    try:
+        recover(folder)
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        os.close(held)
+
+
+def _held(path: Path, here: Path) -> int:
+    """Open and lock the lock file; return its descriptor. If the former holder has removed the file meanwhile, create
+    it again.
+    """
+    for _ in range(_TRIES):
+        try:
+            opened = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise StoreError(
+                f"can't be written: {error.strerror or error}", where=path, remedy="Choose another export folder."
+            ) from error
+        try:
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(opened)
+            raise StoreError(
+                "another generate, rebuild or export is writing this folder",
+                where=here,
+                remedy="Wait until it is done, or choose another export folder: --set export=FOLDER.",
+            ) from error
+        except OSError:
+            return opened
+        if _is(path, opened):
+            return opened
+        os.close(opened)
+    raise StoreError("can't be locked: it keeps being removed", where=path, remedy="Try again.")
+
+
+def _is(path: Path, opened: int) -> bool:
+    with suppress(OSError):
+        return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(opened))
+    return False

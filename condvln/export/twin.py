@@ -12,8 +12,7 @@ from typing import Any
 import orjson
 
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
-from condvln.export.variants import oracle_episode
-from condvln.export.vlnce import encode
+from condvln.export.vlnce import encode, oracle_episode
 from condvln.formats.streams import JsonArrayStream, atomic_stream, read_unpacked
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
@@ -116,7 +115,7 @@ def _document(path: Path) -> dict[str, Any]:
         raise FormatError(
             f"not a VLN-CE split ({type(error).__name__}: {error})",
             where=path,
-            remedy="Check the file with condvln export --validate",
+            remedy="Check the file with condvln verify PATH --lint",
         ) from error
     found: dict[str, Any] = content
     return found

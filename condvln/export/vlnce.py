@@ -1,59 +1,66 @@
-"""Stock R2R_VLNCE v1-3 episodes for VLN-CE's strict loader; our own fields are under ``info``.
+"""Stock R2R_VLNCE v1-3 episodes for VLN-CE's strict loader, with our own fields under ``info``, and their variants.
 
 A split is two files: ``<split>.json.gz`` (episodes, then the vocabulary) and ``<split>_gt.json.gz`` (dense locations
 and actions by episode id, for nDTW and imitation learning).
+
+ANSR-v1 adds top-level ``subgoals``, as the public evaluators of conditional episodes read them (source of the keys:
+dataset type ``ANSR-v1`` of the VLN-Zero and Open-Nav forks). The key is always present, ``[]`` if the gold branch has
+one move. RxR's trainers write predictions by ``instruction_id``, a number; ours is the episode's id. The oracle-linear
+twin is the same episode with the gold branch as a plain instruction.
 """
 
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import orjson
 
-from condvln.export.densify import densify
-from condvln.export.rows import Points, Row
+from condvln.export.tables import Row
 from condvln.export.tokens import Vocabulary
 from condvln.formats.streams import JsonArrayStream, atomic_stream
+from condvln.navigation.points import densify
 from condvln.sources.family import FAMILIES
 from schemas.config.constants import PATH_SPACING
 from schemas.program import SHAPES
 
 __all__ = [
     "FORWARD",
-    "SCENE_PATTERNS",
-    "DocumentWriter",
-    "EncodedEpisode",
-    "document_writer",
+    "RXR_LANGUAGES",
+    "ansr_episode",
+    "document_stream",
     "encode",
     "gold",
     "ground_truth",
-    "instruction_json",
+    "looking_episode",
+    "looking_truth",
+    "oracle_episode",
+    "rxr_episode",
     "scene_file",
-    "truth_writer",
+    "truth_stream",
     "vlnce_episode",
 ]
 
 FORWARD: Final = 1
 """Index of the forward action in ground-truth actions: STOP 0, FORWARD 1, LEFT 2, RIGHT 3."""
-_FRAGMENT: Final = attrgetter("fragment")
-"""Returns the JSON of :class:`~condvln.export.rows.Points`; a function of Python would take longer."""
-_INSTRUCTION: Final = b'"instruction":'
 
-SCENE_PATTERNS: Final[Mapping[str, str]] = {"": "{family}/{scene}/{name}.glb"} | {
-    name: family.scene_file for name, family in FAMILIES.items()
-}
-"""Pattern of ``scene_id`` by family, below the folder ``scene_datasets``; the entry ``""`` is the default."""
+_INFO: Final = (
+    "geodesic_distance", "route_length", "subgoals", "success_distance", "max_steps", "category", "depth", "chain",
+    "composition", "observability", "evidence_in_view", "observability_approximate", "moves", "words",
+    "instruction_id", "group_id", "episode_hash", "start_heading_degrees", "navmesh_sha256",
+)  # fmt: skip
+"""Keys of an episode's ``info``, in the order of the files."""
+
+RXR_LANGUAGES: Final = {"en": "en-US", "es": "es-ES"}
+"""RxR's name of a language."""
 
 
-def scene_file(family: str, scene: str, patterns: Mapping[str, str] = SCENE_PATTERNS) -> str:
+def scene_file(family: str, scene: str) -> str:
     """Return ``scene_id`` of a VLN-CE episode: the path of the scene's mesh below the folder of scene datasets."""
-    pattern = patterns.get(family) or patterns.get("") or SCENE_PATTERNS[""]
+    pattern = FAMILIES[family].scene_file if family in FAMILIES else "{family}/{scene}/{name}.glb"
     name = posixpath.basename(scene)
     return pattern.format(family=family, scene=scene, name=name, scan=name.partition("-")[2] or name)
 
@@ -79,45 +86,49 @@ def vlnce_episode(row: Row, scene_id: str, tokens: list[int]) -> dict[str, Any]:
         "start_position": row["start_position"],
         "start_rotation": row["start_rotation"],
         "info": _info(row, leaf),
-        "goals": _goals(leaf["goals"], row["success_distance"]),
+        "goals": [{"position": point, "radius": row["success_distance"]} for point in leaf["goals"]],
         "instruction": {"instruction_text": row["instruction_text"], "instruction_tokens": tokens},
         "reference_path": leaf["reference_path"],
     }
 
 
-def _goals(points: Points | list[Any], radius: float) -> Any:
-    """Return the goals of a stock episode as a list, or as JSON if the points are."""
-    if not isinstance(points, Points) or not points:
-        return [{"position": point, "radius": radius} for point in points]
-    behind = b'],"radius":' + encode(radius) + b"}"
-    inner = points.json[2:-2].replace(b"],[", behind + b',{"position":[')
-    return orjson.Fragment(b'[{"position":[' + inner + behind + b"]")
+def looking_episode(stock: Row, row: Row) -> dict[str, Any]:
+    """Return a stock episode, or a variant of it, with the looking path as its reference path."""
+    return {**stock, "reference_path": row["looking_path"]}
 
 
-class EncodedEpisode(NamedTuple):
-    """The JSON of an episode before and after the value of ``instruction``, which is all that its variants differ
-    in.
+def ansr_episode(stock: Row, row: Row) -> dict[str, Any]:
+    """Return the ANSR-v1 episode of a stock episode: with the gold leaf's subgoals in order, whose radius is the
+    success distance.
     """
-
-    head: bytes
-    tail: bytes
-
-    @classmethod
-    def of(cls, row: Row, scene_id: str) -> EncodedEpisode:
-        """Return the JSON of the stock episode of a row of the episodes table."""
-        whole = encode({**vlnce_episode(row, scene_id, []), "instruction": None})
-        # No text can have this key: its quotes would be escaped.
-        head, _, tail = whole.partition(_INSTRUCTION + b"null")
-        return cls(head + _INSTRUCTION, tail)
-
-    def with_instruction(self, instruction: bytes) -> bytes:
-        """Return the JSON of the whole episode; `instruction` is JSON too."""
-        return self.head + instruction + self.tail
+    radius = row["success_distance"]
+    return {**stock, "subgoals": [{"position": s["position"], "radius": radius} for s in gold(row)["subgoals"]]}
 
 
-def instruction_json(text: bytes, tokens: bytes) -> bytes:
-    """Return the JSON of a stock episode's instruction from that of its parts."""
-    return b'{"instruction_text":' + text + b',"instruction_tokens":' + tokens + b"}"
+def rxr_episode(stock: Row, row: Row, split: str, language: str = "en") -> dict[str, Any]:
+    """Return the RxR guide episode of a stock episode: the text under RxR's keys, without tokens (agents use their own
+    encoder).
+
+    Ids are texts: RxR's loader compares them with texts and looks them up as keys of the ground truth; VLN-CE's makes
+    texts of them first.
+    """
+    name = str(row["episode_id"])
+    instruction = {
+        "instruction_id": name,
+        "instruction_text": row["instruction_text"],
+        "language": RXR_LANGUAGES[language],
+        "annotator_id": "0",
+        "edit_distance": 0.0,
+        "timed_instruction": [],
+        "instruction_tokens": [],
+        "split": split,
+    }
+    return {**stock, "episode_id": name, "trajectory_id": name, "instruction": instruction}
+
+
+def oracle_episode(stock: Row, text: str, tokens: list[int]) -> dict[str, Any]:
+    """Return the oracle-linear twin of a stock episode."""
+    return {**stock, "instruction": {**stock["instruction"], "instruction_text": text, "instruction_tokens": tokens}}
 
 
 def _info(row: Row, leaf: Row) -> dict[str, Any]:
@@ -125,27 +136,12 @@ def _info(row: Row, leaf: Row) -> dict[str, Any]:
     only the manifest has it.
     """
     shape = SHAPES[row["category"]]
-    return {
-        "geodesic_distance": row["geodesic_distance"],
-        "route_length": row["route_length"],
+    own = {
         "subgoals": [subgoal["position"] for subgoal in leaf["subgoals"]],
-        "success_distance": row["success_distance"],
-        "max_steps": row["max_steps"],
-        "category": row["category"],
         "depth": shape.depth,
         "chain": shape.chain,
-        "composition": row["composition"],
-        "observability": row["observability"],
-        "evidence_in_view": row["evidence_in_view"],
-        "observability_approximate": row["observability_approximate"],
-        "moves": row["moves"],
-        "words": row["words"],
-        "instruction_id": row["instruction_id"],
-        "group_id": row["group_id"],
-        "episode_hash": row["episode_hash"],
-        "start_heading_degrees": row["start_heading_degrees"],
-        "navmesh_sha256": row["navmesh_sha256"],
     }
+    return {name: own[name] if name in own else row[name] for name in _INFO}
 
 
 def ground_truth(row: Row) -> dict[str, Any]:
@@ -154,10 +150,17 @@ def ground_truth(row: Row) -> dict[str, Any]:
     The row's ``locations`` (positions of the follower, one more than its forward steps) are preferred. Without them,
     the reference path is densified to `PATH_SPACING` and rounded to 1 mm; the actions are still the row's.
     """
-    walked = row.get("locations")
-    locations = walked if walked else densify(gold(row)["reference_path"], PATH_SPACING).round(3).tolist()
+    return _truth(row.get("locations"), gold(row)["reference_path"], row.get("actions"))
+
+
+def looking_truth(row: Row) -> dict[str, Any]:
+    """Return the same of the looking path."""
+    return _truth(row.get("looking_locations"), row["looking_path"], row["looking_actions"])
+
+
+def _truth(walked: list[Any] | None, path: list[Any], actions: list[int] | None) -> dict[str, Any]:
+    locations = walked if walked else densify(path, PATH_SPACING).round(3).tolist()
     truth: dict[str, Any] = {"locations": locations}
-    actions = row.get("actions")
     if actions:
         truth["actions"] = actions
         truth["forward_steps"] = actions.count(FORWARD)
@@ -167,37 +170,24 @@ def ground_truth(row: Row) -> dict[str, Any]:
 
 
 def encode(document: object) -> bytes:
-    """Return JSON bytes; numbers in their shortest form, keys in the given order. The document may have
-    :class:`~condvln.export.rows.Points`.
-    """
-    return orjson.dumps(document, default=_FRAGMENT)
-
-
-@dataclass
-class DocumentWriter:
-    """Writes ``{"episodes": […], "instruction_vocab": {…}}`` episode by episode."""
-
-    entries: JsonArrayStream
-
-    def add(self, episode: bytes) -> None:
-        """Append one encoded episode."""
-        self.entries.entry(episode)
+    """Return JSON bytes; numbers in their shortest form, keys in the given order."""
+    return orjson.dumps(document)
 
 
 @contextmanager
-def document_writer(path: Path, vocabulary: Vocabulary | None) -> Iterator[DocumentWriter]:
-    """Return a context manager that writes a VLN-CE document atomically to ``path``; RxR's documents have no
-    vocabulary.
+def document_stream(path: Path, vocabulary: Vocabulary | None) -> Iterator[JsonArrayStream]:
+    """Return a context manager that writes ``{"episodes": […], "instruction_vocab": {…}}`` atomically to ``path``,
+    episode by episode; RxR's documents have no vocabulary.
     """
     tail = b"" if vocabulary is None else b',"instruction_vocab":' + encode(vocabulary.document())
     with atomic_stream(path, closing=b"]" + tail + b"}") as stream:
         stream.write(b'{"episodes":[')
-        yield DocumentWriter(JsonArrayStream(stream))
+        yield JsonArrayStream(stream)
 
 
 @contextmanager
-def truth_writer(path: Path) -> Iterator[DocumentWriter]:
+def truth_stream(path: Path) -> Iterator[JsonArrayStream]:
     """Return a context manager that writes a ground-truth document to ``path``; entries are ``"<episode id>":{…}``."""
     with atomic_stream(path, closing=b"}") as stream:
         stream.write(b"{")
-        yield DocumentWriter(JsonArrayStream(stream))
+        yield JsonArrayStream(stream)

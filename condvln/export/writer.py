@@ -10,42 +10,37 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from condvln.export.axes import observability_class, route_class, words_class
 from condvln.export.place_graphs import PLACES, Places
-from condvln.export.r2r import Graphs, r2r_episode
 from condvln.export.report import ExportReport, WrittenFile
-from condvln.export.rows import Row
-from condvln.export.scene_table import SceneTable
-from condvln.export.splits import SPLITS
-from condvln.export.tokens import Vocabulary
-from condvln.export.variants import OracleText, ansr_bytes, oracle_text_of, rxr_instruction
+from condvln.export.splits import SPLITS, observability_class, route_class, words_class
+from condvln.export.tables import Row, SceneTable
+from condvln.export.tokens import TOKEN_LENGTH, Vocabulary, padded
+from condvln.export.viewpoints import FAMILY, Graphs, r2r_episode
 from condvln.export.vlnce import (
-    DocumentWriter,
-    EncodedEpisode,
-    document_writer,
+    ansr_episode,
+    document_stream,
     encode,
     ground_truth,
-    instruction_json,
+    looking_episode,
+    looking_truth,
+    oracle_episode,
+    rxr_episode,
     scene_file,
-    truth_writer,
+    truth_stream,
+    vlnce_episode,
 )
 from condvln.formats.streams import ByteStream, JsonArrayStream, atomic_copy, atomic_stream
 from condvln.manifest import manifest_path, manifest_row
 from schemas.program import BEARINGS, SHAPES
 
-__all__ = ["ExportWriter", "Layout"]
+__all__ = ["ExportWriter", "OracleText"]
 
-_MP3D: Final = "mp3d"
+_STOCK: Final = ("vlnce", "ansr", "rxr")
+_LOOKING: Final = "_looking"
+"""End of the names of the variants whose reference is the looking path."""
 
-
-@dataclass(frozen=True)
-class Layout:
-    """How episodes are written: formats, patterns, shards."""
-
-    scene_patterns: dict[str, str]
-    token_length: int
-    sharded: bool
-    snapshot: str
+OracleText = Callable[[Row, Row], str]
+"""Makes the linear text of an episode, from its row of the episodes table and that of its instruction."""
 
 
 @dataclass
@@ -53,9 +48,10 @@ class _SplitFiles:
     """The open files of one split."""
 
     name: str
-    truth: DocumentWriter
+    truths: dict[str, JsonArrayStream]
+    """Ground truths along the direct path, and under `_LOOKING` along the looking path."""
     manifest: ByteStream
-    documents: dict[str, DocumentWriter] = field(default_factory=dict)
+    documents: dict[str, JsonArrayStream] = field(default_factory=dict)
     """Files by variant; with shards, those of the current scene."""
     r2r: JsonArrayStream | None = None
 
@@ -63,39 +59,41 @@ class _SplitFiles:
 class ExportWriter:
     """Writes rows scene by scene as they arrive.
 
-    Files get their final names only when the block of :meth:`open` ends without error. The ground truth is the same for
-    all variants and is copied then.
+    Files get their final names only when the block of :meth:`open` ends without error. The ground truth of a path
+    is the same for all its variants and is copied then.
     """
 
     def __init__(
         self,
         out: Path,
-        layout: Layout,
         vocabulary: Vocabulary,
         scenes: SceneTable,
         report: ExportReport,
         *,
-        oracle_texts: OracleText | None = None,
+        sharded: bool = False,
+        oracle_text: OracleText | None = None,
         graphs: Graphs | None = None,
         show: Callable[[Row], object] | None = None,
     ) -> None:
-        """Prepare to write below ``out``; ``show`` is called with each manifest row that is written."""
+        """Prepare to write below ``out``, with a file a scene if ``sharded``; ``show`` is called with each manifest row
+        that is written.
+        """
         self._out = out
-        self._layout = layout
+        self._sharded = sharded
         self._vocabulary = vocabulary
         self._scenes = scenes
         self._report = report
-        self._oracle_texts = oracle_texts
+        self._oracle_text = oracle_text
         self._graphs = graphs
         self._show = show
-        self._variants = ("vlnce", "ansr", "rxr") if oracle_texts is None else ("vlnce", "ansr", "rxr", "oracle")
+        direct = _STOCK if oracle_text is None else (*_STOCK, "oracle")
+        self._variants = (*direct, *(f"{variant}{_LOOKING}" for variant in _STOCK))
         self._splits: list[_SplitFiles] = []
         self._open = ExitStack()
         self._streams: list[ByteStream] = []
         self._r2r_left_out: Counter[str] = Counter()
         self._shards: set[str] = set()
         self._places = Places()
-        self._shapes: dict[tuple[str, tuple[Any, ...]], int] = {}
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -105,7 +103,6 @@ class ExportWriter:
             yield
         for stream in self._streams:
             self._note(stream)
-        self._report_shapes()
         self._copy_truths()
         with atomic_stream(self._out / PLACES) as stream:
             stream.write(self._places.pickled())
@@ -113,13 +110,17 @@ class ExportWriter:
         self._report.r2r_left_out = dict(sorted(self._r2r_left_out.items()))
 
     def _opened(self, split: str) -> _SplitFiles:
-        truth = self._open.enter_context(truth_writer(self._out / self._truth_name("vlnce", split)))
+        truths = {
+            path: self._open.enter_context(truth_stream(self._out / self._truth_name(f"vlnce{path}", split)))
+            for path in ("", _LOOKING)
+        }
         manifest = self._open.enter_context(atomic_stream(manifest_path(self._out, split)))
-        files = _SplitFiles(split, truth, manifest)
+        files = _SplitFiles(split, truths, manifest)
         for variant in self._variants:
             path = self._out / variant / split / f"{self._stem(variant, split)}.json.gz"
-            files.documents[variant] = self._open.enter_context(document_writer(path, self._vocabulary_of(variant)))
-        self._streams += [truth.entries.stream, manifest, *(d.entries.stream for d in files.documents.values())]
+            files.documents[variant] = self._open.enter_context(document_stream(path, self._vocabulary_of(variant)))
+        opened = (*truths.values(), *files.documents.values())
+        self._streams += [manifest, *(each.stream for each in opened)]
         return files
 
     def _opened_r2r(self, split: str) -> JsonArrayStream:
@@ -131,29 +132,29 @@ class ExportWriter:
 
     def _vocabulary_of(self, variant: str) -> Vocabulary | None:
         """Return the vocabulary of a variant; None for RxR, whose loader has none."""
-        return None if variant == "rxr" else self._vocabulary
+        return None if variant.startswith("rxr") else self._vocabulary
 
     @staticmethod
     def _stem(variant: str, split: str) -> str:
-        return f"{split}_guide" if variant == "rxr" else split
+        return f"{split}_guide" if variant.startswith("rxr") else split
 
     def _truth_name(self, variant: str, split: str) -> str:
         return f"{variant}/{split}/{self._stem(variant, split)}_gt.json.gz"
 
     def add_scene(self, source: str, scene: str, rows: list[tuple[int, Row, Row]]) -> None:
         """Write the selected episodes of one scene, given as (split code, row of episodes, row of instructions)."""
-        scene_id = scene_file(source, scene, self._layout.scene_patterns)
+        scene_id = scene_file(source, scene)
         path, shipped = self._scenes.navmesh_path(source, scene)
         for code in sorted({code for code, _, _ in rows}):
             files = self._splits[code]
             self._report.scenes[files.name].append(f"{source}/{scene}")
             mine = [(row, instruction) for at, row, instruction in rows if at == code]
             self._report.episodes[files.name] += len(mine)
-            names = {"source": source, "split": files.name, "navmesh": path, "snapshot": self._layout.snapshot}
+            names = {"source": source, "split": files.name, "navmesh": path, "snapshot": self._report.snapshot}
             with self._documents(files, source, scene) as documents:
                 for row, instruction in mine:
                     self._add(files, documents, scene_id, names, row, instruction)
-        graph = (self._graphs or {}).get(scene) if source == _MP3D else None
+        graph = (self._graphs or {}).get(scene) if source == FAMILY else None
         self._places.add(scene_id, (row for _, row, _ in rows), None if graph is None else graph.graph)
         if rows and shipped:
             with atomic_stream(self._out / path) as stream:
@@ -161,21 +162,21 @@ class ExportWriter:
             self._note(stream)
 
     @contextmanager
-    def _documents(self, files: _SplitFiles, source: str, scene: str) -> Iterator[dict[str, DocumentWriter]]:
+    def _documents(self, files: _SplitFiles, source: str, scene: str) -> Iterator[dict[str, JsonArrayStream]]:
         """Yield the open documents, by variant, to which the scene's episodes are written. They are the split's own
         files, or shards as in Habitat's ``content`` folders.
         """
-        if not self._layout.sharded:
+        if not self._sharded:
             yield files.documents
             return
         shards = {}
         with ExitStack() as stack:
             for variant in self._variants:
                 path = self._shard(variant, files.name, source, scene)
-                shards[variant] = stack.enter_context(document_writer(path, self._vocabulary_of(variant)))
+                shards[variant] = stack.enter_context(document_stream(path, self._vocabulary_of(variant)))
             yield shards
-        for writer in shards.values():
-            self._note(writer.entries.stream)
+        for shard in shards.values():
+            self._note(shard.stream)
 
     def _shard(self, variant: str, split: str, source: str, scene: str) -> Path:
         folder = f"{variant}/{split}/content"
@@ -188,34 +189,40 @@ class ExportWriter:
     def _add(
         self,
         files: _SplitFiles,
-        documents: dict[str, DocumentWriter],
+        documents: dict[str, JsonArrayStream],
         scene_id: str,
         names: dict[str, str],
         row: Row,
         instruction: Row,
     ) -> None:
         """Write one episode to all files of its split; `names` are those of its row in the manifest."""
-        text, length = row["instruction_text"], self._layout.token_length
-        tokens, count = self._vocabulary.padded_json(text, length)
-        self._report.texts_cut += count > length
-        episode = EncodedEpisode.of(row, scene_id)
-        stock = episode.with_instruction(instruction_json(encode(text), tokens))
-        documents["vlnce"].add(stock)
-        documents["ansr"].add(ansr_bytes(stock, row))
-        guide = rxr_instruction(row, files.name, self._report.language)
-        documents["rxr"].add(episode.with_instruction(encode(guide)))
-        if self._oracle_texts is not None:
-            linear = oracle_text_of(self._oracle_texts, row, instruction)
-            tokens = self._vocabulary.padded_json(linear, length)[0]
-            documents["oracle"].add(episode.with_instruction(instruction_json(encode(linear), tokens)))
-        truth = encode(ground_truth(row))
-        files.truth.add(encode(str(row["episode_id"])) + b":" + truth)
-        told = manifest_row(row, instruction, **names)
-        files.manifest.write(encode(told) + b"\n")
+        tokens = self._vocabulary.encode(row["instruction_text"])
+        self._report.texts_cut += len(tokens) > TOKEN_LENGTH
+        stock = vlnce_episode(row, scene_id, padded(tokens))
+        made = {
+            "vlnce": stock,
+            "ansr": ansr_episode(stock, row),
+            "rxr": rxr_episode(stock, row, files.name, self._report.language),
+        }
+        for variant, episode in made.items():
+            documents[variant].entry(encode(episode))
+            if row["looking_path"]:
+                documents[f"{variant}{_LOOKING}"].entry(encode(looking_episode(episode, row)))
+        if self._oracle_text is not None:
+            text = self._oracle_text(row, instruction)
+            documents["oracle"].entry(encode(oracle_episode(stock, text, self._vocabulary.padded(text))))
+        name = encode(str(row["episode_id"])) + b":"
+        files.truths[""].entry(name + encode(ground_truth(row)))
+        if row["looking_path"]:
+            files.truths[_LOOKING].entry(name + encode(looking_truth(row)))
+        else:
+            self._report.looking_left_out += 1
+        line = manifest_row(row, instruction, **names)
+        files.manifest.write(encode(line) + b"\n")
         if self._show is not None:
-            self._show(told)
-        self._note_shape(names["source"], row, files.name)
-        if self._graphs and names["source"] == _MP3D:
+            self._show(line)
+        self._count(names["source"], row, files.name)
+        if self._graphs and names["source"] == FAMILY:
             self._add_r2r(files, row, instruction)
 
     def _add_r2r(self, files: _SplitFiles, row: Row, instruction: Row) -> None:
@@ -234,54 +241,37 @@ class ExportWriter:
         files.r2r.entry(encode(found))
         self._report.r2r_episodes += 1
 
-    def _note_shape(self, source: str, row: Row, split: str) -> None:
+    def _count(self, source: str, row: Row, split: str) -> None:
+        """Count an episode of a split by its source, category and classes."""
         category = row["category"]
-        key = (
-            source,
-            category,
-            row["composition"],
-            row["observability"],
-            row["evidence_in_view"],
-            row["moves"],
-            route_class(row["route_length"]),
-            words_class(row["words"]),
-            row["success_distance"],
-        )
-        self._shapes[split, key] = self._shapes.get((split, key), 0) + 1
+        shapes = self._report.shapes.setdefault(split, {})
+        for name, value in (
+            ("source", source),
+            ("category", category),
+            ("composition", row["composition"]),
+            ("depth", SHAPES[category].depth),
+            ("chain", SHAPES[category].chain),
+            ("observability", observability_class(row["observability"], row["evidence_in_view"]) or "not told"),
+            ("moves", row["moves"]),
+            ("route", route_class(row["route_length"])),
+            ("words", words_class(row["words"])),
+            ("success_distance", row["success_distance"]),
+        ):
+            counts = shapes.setdefault(name, {})
+            counts[str(value)] = counts.get(str(value), 0) + 1
         example = (row["episode_id"], row["instruction_text"])
         self._report.examples[category] = min(self._report.examples.get(category, example), example)
         self._report.most_steps = max(self._report.most_steps, row["max_steps"])
         self._report.least_steps = min(self._report.least_steps or row["max_steps"], row["max_steps"])
 
-    def _report_shapes(self) -> None:
-        """Report how many episodes of each split are of each source, category and class, in the order in which they
-        were first written.
-        """
-        for (split, key), number in self._shapes.items():
-            source, category, composition, observability, in_view, moves, route, words, distance = key
-            shape = self._report.shapes.setdefault(split, {})
-            for name, value in (
-                ("source", source),
-                ("category", category),
-                ("composition", composition),
-                ("depth", SHAPES[category].depth),
-                ("chain", SHAPES[category].chain),
-                ("observability", observability_class(observability, in_view) or "not told"),
-                ("moves", moves),
-                ("route", route),
-                ("words", words),
-                ("success_distance", distance),
-            ):
-                counts = shape.setdefault(name, {})
-                counts[str(value)] = counts.get(str(value), 0) + number
-
     def _copy_truths(self) -> None:
         for split in SPLITS:
-            written = self._report.files[self._truth_name("vlnce", split)]
-            for variant in self._variants[1:]:
+            for variant in self._variants:
                 name = self._truth_name(variant, split)
-                atomic_copy(self._out / self._truth_name("vlnce", split), self._out / name)
-                self._report.files[name] = written
+                source = self._truth_name(f"vlnce{_LOOKING}" if variant.endswith(_LOOKING) else "vlnce", split)
+                if name != source:
+                    atomic_copy(self._out / source, self._out / name)
+                    self._report.files[name] = self._report.files[source]
 
     def _note(self, stream: ByteStream) -> None:
         name = stream.path.relative_to(self._out).as_posix()

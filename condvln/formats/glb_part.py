@@ -1,87 +1,278 @@
-"""Read a GLB file as a part of a larger GLB file. Sizes and indices that the file states are checked against the actual
-bytes.
+"""Read a GLB file with its vertex attributes and materials: as a part of a larger file, or for rendering.
 
-`condvln.formats.gltf_tree` first checks the geometry and rejects unreadable files. The attributes and materials
-that a renderer of static scenes uses are then copied; skins, animations, cameras and lights are dropped.
+trimesh decodes the geometry, after `condvln.formats.gltf_tree` has checked it. Materials, samplers and encoded images
+are those of the file's JSON: trimesh has no place for wrap modes, texture transforms and KTX2 images. Skins,
+animations, cameras and lights are dropped. A texture whose image is not embedded in the file is left out and counted;
+its material keeps its colours.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.formats.glb import glb_chunks
-from condvln.formats.glb_material import MaterialReader
-from condvln.formats.gltf_tree import geometry_tree
+from condvln.formats.glb import decoded, glb_chunks, own_buffers
+from condvln.formats.gltf_tree import ATTRIBUTES, CheckedNode, checked_tree
 from condvln.formats.json_document import JsonNode
+from schemas.errors import FormatError
 
-__all__ = ["Accessor", "GlbPart", "Node", "Primitive", "read_part"]
+if TYPE_CHECKING:
+    import trimesh
 
-_TYPES: Final = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_KINDS: Final = {
-    "POSITION": ("VEC3",),
-    "NORMAL": ("VEC3",),
-    "TANGENT": ("VEC4",),
-    "TEXCOORD_0": ("VEC2",),
-    "TEXCOORD_1": ("VEC2",),
-    "COLOR_0": ("VEC3", "VEC4"),
-}
-"""Attributes that are copied, in this order, with their allowed types."""
-_TRIANGLES, _STRIP = 4, 5
-_FLOAT: Final = 5126
-_INDEX_TYPES: Final = frozenset({5121, 5123, 5125})
-MAX_COPIES: Final = 6
-"""Largest ratio of the bytes that all attributes read to the file's bytes."""
+__all__ = [
+    "GlbPart",
+    "Image",
+    "MaterialReader",
+    "Primitive",
+    "read_part",
+    "shifted",
+]
+
+_MIME: Final = frozenset({"image/png", "image/jpeg", "image/webp", "image/ktx2", "image/vnd-ms.dds", "image/x-basis"})
+_IMAGE_EXTENSIONS: Final = ("KHR_texture_basisu", "EXT_texture_webp", "GOOGLE_texture_basis")
+"""Extensions by which a texture uses an image format other than PNG and JPEG."""
+_TRANSFORM: Final = "KHR_texture_transform"
+_UNLIT: Final = "KHR_materials_unlit"
+_FILTERS, _WRAPS = frozenset({9728, 9729, 9984, 9985, 9986, 9987}), frozenset({10497, 33071, 33648})
+_SAMPLER: Final = {"magFilter": _FILTERS, "minFilter": _FILTERS, "wrapS": _WRAPS, "wrapT": _WRAPS}
+_COORDINATES: Final = frozenset({0, 1})
+"""Largest number of texture coordinate sets that are copied."""
+_SLOTS: Final = ("normalTexture", "occlusionTexture", "emissiveTexture")
+_PBR_SLOTS: Final = ("baseColorTexture", "metallicRoughnessTexture")
+_ALPHA_MODES: Final = frozenset({"OPAQUE", "MASK", "BLEND"})
+_LIMIT: Final = 1e6
+MAX_COPIES: Final = 2
+"""Largest ratio of the bytes that all images read to the file's bytes."""
+
+Tree = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Accessor:
-    """The content of one glTF accessor: glTF's codes for the component type and the type (such as ``VEC3``), the count,
-    and the bytes without gaps.
-    """
+class Image:
+    """An encoded image, never decoded here."""
 
-    component: int
-    kind: str
-    count: int
-    normalized: bool
+    mime: str
     data: bytes
-    low: tuple[float, ...] = ()
-    high: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Primitive:
-    """Triangles or a triangle strip. All numbers are indices within the part: of the accessor of each attribute, of the
-    accessor with the triangles' indices, and of the material.
+class MaterialReader:
+    """Reads materials of one file with their textures, samplers and images. Only what is requested is kept, and each
+    kind is renumbered from 0.
     """
 
-    mode: int
-    attributes: dict[str, int]
-    indices: int | None
+    def __init__(self, root: JsonNode, binary: bytes) -> None:
+        self._root, self._binary = root, binary
+        self.materials: list[Tree] = []
+        self.textures: list[Tree] = []
+        self.samplers: list[Tree] = []
+        self.images: list[Image] = []
+        self.used: set[str] = set()
+        self.required: set[str] = set()
+        self.lost = 0
+        self._number: dict[tuple[str, int], int | None] = {}
+        self._copied = 0
+        self._asked = {node.text() for node in root.array("extensionsRequired")}
+
+    def material(self, node: JsonNode) -> int:
+        """Return the number of a material in `materials`. The integer in `node` is the material's index in the file.
+
+        Raises
+        ------
+        FormatError : an index is out of range, a type is wrong, or bytes are missing
+        """
+        index = node.index(len(self._root.array("materials")))
+        if ("materials", index) not in self._number:
+            made = self._material(self._root.array("materials")[index])
+            self._number["materials", index] = len(self.materials)
+            self.materials.append(made)
+        return self._number["materials", index] or 0
+
+    def _material(self, source: JsonNode) -> Tree:
+        made: Tree = {}
+        shine = source.get("pbrMetallicRoughness")
+        if shine is not None:
+            inner: Tree = {}
+            if "baseColorFactor" in shine:
+                inner["baseColorFactor"] = shine["baseColorFactor"].vector(4, _LIMIT).tolist()
+            inner |= {k: shine[k].number(_LIMIT) for k in ("metallicFactor", "roughnessFactor") if k in shine}
+            made["pbrMetallicRoughness"] = inner | self._slots(shine, _PBR_SLOTS)
+        made |= self._slots(source, _SLOTS)
+        if "emissiveFactor" in source:
+            made["emissiveFactor"] = source["emissiveFactor"].vector(3, _LIMIT).tolist()
+        if source.get("alphaMode") is not None:
+            mode = source["alphaMode"].text()
+            if mode not in _ALPHA_MODES:
+                source["alphaMode"].fail(f"{mode!r} is not an alpha mode")
+            made["alphaMode"] = mode
+        if "alphaCutoff" in source:
+            made["alphaCutoff"] = source["alphaCutoff"].number(_LIMIT)
+        if "doubleSided" in source:
+            made["doubleSided"] = source["doubleSided"].boolean()
+        extensions = source.get("extensions")
+        if extensions is not None and _UNLIT in extensions:
+            made["extensions"] = {_UNLIT: {}}
+            self._uses(_UNLIT)
+        return made
+
+    def _slots(self, source: JsonNode, names: tuple[str, ...]) -> Tree:
+        found: Tree = {}
+        for name in names:
+            slot = source.get(name)
+            texture = None if slot is None else self._texture(slot["index"])
+            if slot is not None and texture is not None:
+                found[name] = {"index": texture} | self._placement(slot)
+        return found
+
+    def _placement(self, slot: JsonNode) -> Tree:
+        """Return the settings of a texture reference, without its index."""
+        made: Tree = {"texCoord": _one_of(slot["texCoord"], _COORDINATES)} if "texCoord" in slot else {}
+        made |= {key: slot[key].number(_LIMIT) for key in ("scale", "strength") if key in slot}
+        extensions = slot.get("extensions")
+        moved = None if extensions is None else extensions.get(_TRANSFORM)
+        if moved is not None:
+            own: Tree = {k: moved[k].vector(2, _LIMIT).tolist() for k in ("offset", "scale") if k in moved}
+            if "rotation" in moved:
+                own["rotation"] = moved["rotation"].number(_LIMIT)
+            if "texCoord" in moved:
+                own["texCoord"] = _one_of(moved["texCoord"], _COORDINATES)
+            made["extensions"] = {_TRANSFORM: own}
+            self._uses(_TRANSFORM)
+        return made
+
+    def _texture(self, node: JsonNode) -> int | None:
+        index = node.index(len(self._root.array("textures")))
+        if ("textures", index) not in self._number:
+            source = self._root.array("textures")[index]
+            made = self._image_of(source)
+            if made is None:
+                self.lost += 1
+                self._number["textures", index] = None
+            else:
+                if "sampler" in source:
+                    made["sampler"] = self._sampler(source["sampler"])
+                self._number["textures", index] = len(self.textures)
+                self.textures.append(made)
+        return self._number["textures", index]
+
+    def _image_of(self, source: JsonNode) -> Tree | None:
+        made: Tree = {}
+        if source.get("source") is not None:
+            image = self._image(source["source"])
+            if image is not None:
+                made["source"] = image
+        extensions = source.get("extensions")
+        for name in _IMAGE_EXTENSIONS:
+            other = None if extensions is None else extensions.get(name)
+            image = None if other is None else self._image(other["source"])
+            if image is not None:
+                made.setdefault("extensions", {})[name] = {"source": image}
+                self._uses(name)
+        return made or None
+
+    def _image(self, node: JsonNode) -> int | None:
+        """Return the new number of an image; None if the image's bytes are not in the file."""
+        index = node.index(len(self._root.array("images")))
+        if ("images", index) not in self._number:
+            source = self._root.array("images")[index]
+            inside = source.get("bufferView") is not None
+            self._number["images", index] = len(self.images) if inside else None
+            if inside:
+                self.images.append(Image(self._mime(source), self._bytes(source["bufferView"])))
+        return self._number["images", index]
+
+    def _mime(self, source: JsonNode) -> str:
+        mime = source["mimeType"].text()
+        if mime not in _MIME:
+            source["mimeType"].fail(f"{mime!r:.60} is not a supported image type")
+        return mime
+
+    def _bytes(self, node: JsonNode) -> bytes:
+        views = self._root.array("bufferViews")
+        view = views[node.index(len(views))]
+        start = view["byteOffset"].integer() if "byteOffset" in view else 0
+        length = view["byteLength"].integer()
+        if view["buffer"].integer() != 0 or min(start, length) < 0 or start + length > len(self._binary):
+            view.fail(
+                f"the image claims bytes {start} to {start + length}, but the binary chunk has {len(self._binary)}"
+            )
+        self._copied += length
+        if self._copied > MAX_COPIES * len(self._binary):
+            view.fail(f"images read the same bytes more than {MAX_COPIES} times")
+        return self._binary[start : start + length]
+
+    def _sampler(self, node: JsonNode) -> int:
+        index = node.index(len(self._root.array("samplers")))
+        if ("samplers", index) not in self._number:
+            source = self._root.array("samplers")[index]
+            self._number["samplers", index] = len(self.samplers)
+            self.samplers.append({k: _one_of(source[k], values) for k, values in _SAMPLER.items() if k in source})
+        return self._number["samplers", index] or 0
+
+    def _uses(self, extension: str) -> None:
+        self.used.add(extension)
+        if extension in self._asked:
+            self.required.add(extension)
+
+
+def shifted(material: Tree, textures: int) -> Tree:
+    """Return a copy of a material whose texture numbers are increased by `textures`."""
+
+    def moved(inner: Tree, names: tuple[str, ...]) -> Tree:
+        return {
+            key: {**value, "index": value["index"] + textures} if key in names else value
+            for key, value in inner.items()
+        }
+
+    made = moved(material, _SLOTS)
+    if "pbrMetallicRoughness" in made:
+        made["pbrMetallicRoughness"] = moved(made["pbrMetallicRoughness"], _PBR_SLOTS)
+    return made
+
+
+def _one_of(node: JsonNode, known: frozenset[int]) -> int:
+    value = node.integer()
+    if value not in known:
+        node.fail(f"{value} is none of {', '.join(map(str, sorted(known)))}")
+    return value
+
+
+_REMEDY: Final = "Take the file from its dataset again"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Primitive:
+    """Triangles of one material.
+
+    points : (n, 3) float32 positions
+    faces : (m, 3) indices of the points
+    attributes : other numbers of each vertex (n, width), by glTF's name, as they are stored
+    normalized : names of the attributes that are integers to be scaled to [0, 1]
+    material : number of the material in the part's `look`, None if there is none
+    """
+
+    points: NDArray[np.float32]
+    faces: NDArray[np.int64]
+    attributes: dict[str, NDArray[Any]]
+    normalized: frozenset[str]
     material: int | None
 
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A node: its local glTF transform, and the indices, within the part, of its mesh and its children."""
-
-    transform: dict[str, list[float]]
-    mesh: int | None
-    children: tuple[int, ...]
+    def rows(self, name: str) -> NDArray[Any] | None:
+        """Return an attribute as numbers (n, width), scaled where it is normalized; None if there is none."""
+        rows = self.attributes.get(name)
+        return rows if rows is None or name not in self.normalized else rows / np.iinfo(rows.dtype).max
 
 
 @dataclass(slots=True)
 class GlbPart:
-    """The content copied from one file. `look` has its materials and their textures."""
+    """The content of one file. In `nodes`, parents come before their children; `meshes` are lists of primitives; `look`
+    has the materials and their textures.
+    """
 
-    nodes: list[Node] = field(default_factory=list)
-    roots: tuple[int, ...] = ()
+    nodes: list[CheckedNode] = field(default_factory=list)
     meshes: list[list[Primitive]] = field(default_factory=list)
-    accessors: list[Accessor] = field(default_factory=list)
     look: MaterialReader | None = None
 
 
@@ -90,146 +281,26 @@ def read_part(data: bytes, where: str) -> GlbPart:
 
     Raises
     ------
-    FormatError : the file is truncated, inconsistent, malicious, compressed, or without triangles; `where` names it
+    FormatError : the file is truncated, inconsistent, malicious, in an extension that can't be read, or without
+        triangles; `where` names it
     """
     root, binary = glb_chunks(data, where)
-    tree = geometry_tree(root, len(binary))
-    return _Copier(root, binary, tree).part
+    tree = checked_tree(root, own_buffers(root, binary), attributes=True)
+    look = MaterialReader(root, binary)
+    scene = decoded(tree, where)
+    primitives = []
+    for number, material in enumerate(tree.materials):
+        mesh = scene.geometry[f"p{number}"]
+        own = None if material is None else look.material(material)
+        primitives.append(_primitive(mesh, tree.normalized[number], own, where))
+    return GlbPart(tree.nodes, [[primitives[k] for k in mesh] for mesh in tree.meshes], look)
 
 
-class _Copier:
-    """Copies the default scene, whose nodes and triangles have already been checked."""
-
-    def __init__(self, root: JsonNode, binary: bytes, tree: dict[str, Any]) -> None:
-        self.root, self.binary = root, binary
-        self.copied = 0
-        self.look = MaterialReader(root, binary)
-        self.part = GlbPart(look=self.look)
-        self.mesh_of: dict[int, int | None] = {}
-        self.accessor_of: dict[tuple[int, str], int] = {}
-        nodes = self.root.array("nodes")
-        roots = self._roots(nodes)
-        # Parents come before their children, so no recursion is needed.
-        order, at = list(roots), 0
-        while at < len(order):
-            order += [c.integer() for c in nodes[order[at]].array("children")]
-            at += 1
-        number = {old: new for new, old in enumerate(order)}
-        for old in order:
-            own = nodes[old]
-            mesh = own.get("mesh")
-            self.part.nodes.append(
-                Node(
-                    _transform(own),
-                    None if mesh is None else self._mesh(mesh.integer()),
-                    tuple(number[c.integer()] for c in own.array("children")),
-                )
-            )
-        self.part.roots = tuple(number[r] for r in roots)
-        assert len(order) == len(tree["nodes"])
-
-    def _roots(self, nodes: list[JsonNode]) -> list[int]:
-        scenes = self.root.array("scenes")
-        if scenes:
-            chosen = self.root.get("scene")
-            return [n.integer() for n in scenes[0 if chosen is None else chosen.integer()].array("nodes")]
-        below = {c.integer() for node in nodes for c in node.array("children")}
-        return [n for n in range(len(nodes)) if n not in below]
-
-    def _mesh(self, index: int) -> int | None:
-        if index not in self.mesh_of:
-            found = [p for p in map(self._primitive, self.root.array("meshes")[index].array("primitives")) if p]
-            self.mesh_of[index] = len(self.part.meshes) if found else None
-            if found:
-                self.part.meshes.append(found)
-        return self.mesh_of[index]
-
-    def _primitive(self, source: JsonNode) -> Primitive | None:
-        mode_node, attributes = source.get("mode"), source["attributes"]
-        mode = _TRIANGLES if mode_node is None else mode_node.integer()
-        position = attributes.get("POSITION")
-        if mode not in (_TRIANGLES, _STRIP) or position is None:
-            return None
-        kept = {name: self._accessor(attributes[name], name) for name in _KINDS if attributes.get(name) is not None}
-        vertices = self.part.accessors[kept["POSITION"]].count
-        for name, at in kept.items():
-            if self.part.accessors[at].count != vertices:
-                attributes[name].fail(
-                    f"the attribute has {self.part.accessors[at].count} entries, but there are {vertices} vertices"
-                )
-        indices_node = source.get("indices")
-        indices = None if indices_node is None else self._accessor(indices_node, "indices")
-        corners = vertices
-        if indices is not None and indices_node is not None:
-            own = self.part.accessors[indices]
-            corners = own.count
-            named = np.frombuffer(own.data, np.dtype(_TYPES[own.component]).newbyteorder("<"))
-            if corners and int(named.max()) >= vertices:
-                indices_node.fail(f"a face refers to vertex {int(named.max())}, but there are {vertices}")
-        if corners < 3 or not vertices:
-            return None
-        material = source.get("material")
-        return Primitive(mode, kept, indices, None if material is None else self.look.material(material))
-
-    def _accessor(self, node: JsonNode, name: str) -> int:
-        index = node.index(len(self.root.array("accessors")))
-        if (index, name) not in self.accessor_of:
-            source = self.root.array("accessors")[index]
-            kind, component = source["type"].text(), source["componentType"].integer()
-            kinds = ("SCALAR",) if name == "indices" else _KINDS[name]
-            normal = source.get("normalized")
-            normalized = normal is not None and normal.boolean()
-            floats = component == _FLOAT
-            fits = (
-                component in _INDEX_TYPES if name == "indices" else floats or (normalized and component in (5121, 5123))
-            )
-            if kind not in kinds or not fits or (name in ("POSITION", "NORMAL", "TANGENT") and not floats):
-                source.fail(f"type {kind} of component {component} is not allowed for {name}")
-            packed = self._packed(source, component, _WIDTHS[kind])
-            bounds: tuple[tuple[float, ...], ...] = ((), ())
-            if name == "POSITION":
-                if not np.isfinite(packed).all():
-                    source.fail("a vertex is not finite")
-                ends = (packed.min(axis=0), packed.max(axis=0)) if len(packed) else (np.zeros(3), np.zeros(3))
-                bounds = tuple(tuple(float(v) for v in end) for end in ends)
-            self.accessor_of[index, name] = len(self.part.accessors)
-            self.part.accessors.append(
-                Accessor(component, kind, len(packed), normalized and not floats, packed.tobytes(), *bounds)
-            )
-        return self.accessor_of[index, name]
-
-    def _packed(self, source: JsonNode, component: int, width: int) -> NDArray[Any]:
-        """Return the numbers of an accessor as an array (count, width), read without the padding between them."""
-        if "sparse" in source:
-            source.fail("sparse accessors can't be read", "Export it with plain accessors")
-        dtype = np.dtype(_TYPES[component]).newbyteorder("<")
-        count, view = source["count"].integer(), self._view(source)
-        offset = _or(source, "byteOffset", 0)
-        item = dtype.itemsize * width
-        step = _or(view, "byteStride", 0) or item
-        start, length = _or(view, "byteOffset", 0), view["byteLength"].integer()
-        sound = min(count, offset, start, length, step) >= 0 and start + length <= len(self.binary)
-        if not sound or (count and offset + (count - 1) * step + item > length):
-            source.fail(f"{count} items of {item} bytes do not fit into the view")
-        self.copied += count * item
-        if self.copied > MAX_COPIES * len(self.binary):
-            source.fail(f"accessors read the same bytes more than {MAX_COPIES} times")
-        rows = np.ndarray((count, width), dtype, self.binary, start + offset, (step, dtype.itemsize))
-        return np.ascontiguousarray(rows)
-
-    def _view(self, source: JsonNode) -> JsonNode:
-        views = self.root.array("bufferViews")
-        view = views[source["bufferView"].index(len(views))]
-        if view["buffer"].integer() != 0:
-            view.fail("numbers outside the file's own binary chunk can't be read", "Export it as one GLB file")
-        return view
-
-
-def _transform(node: JsonNode) -> dict[str, list[float]]:
-    keys = ("matrix",) if "matrix" in node else ("translation", "rotation", "scale")
-    lengths = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
-    return {key: node[key].vector(lengths[key], 1e6).tolist() for key in keys if key in node}
-
-
-def _or(node: JsonNode, key: str, default: int) -> int:
-    return node[key].integer() if key in node else default
+def _primitive(mesh: trimesh.Trimesh, normalized: frozenset[str], material: int | None, where: str) -> Primitive:
+    points = np.asarray(mesh.vertices, np.float32)  # as stored: trimesh has widened them
+    if not np.isfinite(points).all():
+        raise FormatError("a vertex is not finite", where=where, remedy=_REMEDY)
+    found = {
+        name: np.asarray(rows) for name in ATTRIBUTES if (rows := mesh.vertex_attributes.get(f"_{name}")) is not None
+    }
+    return Primitive(points, np.asarray(mesh.faces, np.int64), found, normalized, material)

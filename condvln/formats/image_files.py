@@ -16,29 +16,57 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.formats.depth_rows import filtered_rows
+from schemas.errors import UsageError
 
-__all__ = ["encoders", "encoders_of", "jpeg", "png16"]
+__all__ = [
+    "UP",
+    "encoders",
+    "filtered_rows",
+    "jpeg",
+    "png16",
+]
+
+UP = 2
+"""PNG's filter that stores the difference to the byte above."""
+MILLIMETRES = np.float32(1000)
+"""Levels of a depth image for each metre."""
+MOST = np.float32(65535)
+"""Highest level of 16 bits."""
+
+
+def filtered_rows(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the rows (h, 1 + 2 w) of a PNG file, each filtered by `UP`.
+
+    depth : (h, w) metres; rounded to millimetres, half to even, and limited to 0 to 65.535 m
+    """
+    levels = np.clip(np.rint(depth * MILLIMETRES), np.float32(0), MOST).astype(">u2").view(np.uint8)
+    rows = np.full((len(depth), 1 + 2 * depth.shape[1]), UP, np.uint8)
+    rows[:, 1:] = levels
+    rows[1:, 1:] -= levels[:-1]
+    return rows
+
 
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
 
 @cache
 def encoders() -> Mapping[str, str]:
-    """Return the encoder of each kind of image, with its version. The bytes of a file depend on both."""
-    return {
-        "jpg": f"simplejpeg {metadata.version('simplejpeg')}",
-        "png": f"isal {metadata.version('isal')}",
-    }
+    """Return the encoder of each kind of image, with its version. The bytes of a file depend on both.
 
-
-def encoders_of(libraries: Mapping[str, str], named: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the encoders of a folder of trajectories: those that its record names. Older records name none; Pillow
-    wrote their images.
-
-    libraries : versions of libraries, by name
+    Raises
+    ------
+    UsageError : an encoder is not installed
     """
-    return named or dict.fromkeys(("jpg", "png"), f"Pillow {libraries.get('pillow', '')}".strip())
+    try:
+        return {
+            "jpg": f"simplejpeg {metadata.version('simplejpeg')}",
+            "png": f"isal {metadata.version('isal')}",
+        }
+    except metadata.PackageNotFoundError as error:
+        raise UsageError(
+            f"{error.name} is not installed, which writes the images of trajectories",
+            remedy="Install condvln[trajectories]",
+        ) from error
 
 
 def jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
@@ -57,8 +85,7 @@ def png16(depth: NDArray[np.float32], level: int) -> bytes:
     from isal import isal_zlib
 
     height, width = depth.shape
-    filtered = np.empty((height, 1 + 2 * width), np.uint8)
-    filtered_rows(np.ascontiguousarray(depth, np.float32), filtered)
+    filtered = filtered_rows(np.ascontiguousarray(depth, np.float32))
     # Width, height, bits, grey, and the only compression, filter method and order without interlacing.
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     data: bytes = isal_zlib.compress(filtered, level)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,37 +12,32 @@ from typing import Any, Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.formats.json_arrays import TextArray, parse_large
 from schemas.errors import FormatError
 
-__all__ = ["MAX_COORDINATE", "MAX_DEPTH", "JsonNode", "canonical_json", "is_shallow", "nesting_depth", "parse_json"]
+__all__ = [
+    "MAX_COORDINATE",
+    "MAX_DEPTH",
+    "TOO_DEEP",
+    "JsonNode",
+    "canonical_json",
+    "nesting_depth",
+    "parse_json",
+    "parsed_value",
+]
 
-MAX_DEPTH = 64
+MAX_DEPTH: Final = 64
 """Deepest accepted nesting. Real documents have under ten levels; the parser's own limit depends on the call stack."""
+
+TOO_DEEP: Final = f"is nested more than {MAX_DEPTH} levels deep"
 
 MAX_COORDINATE = 1e5
 """Largest coordinate in metres. Buildings are smaller, and products of three such numbers stay precise in double
 precision.
 """
 
-LARGE_BYTES: Final = 16 << 20
-"""Size in bytes from which long arrays stay text until accessed. Real documents of one scene have under 1 MB."""
-
-_PIECE: Final = 1 << 20
-"""Bytes scanned at once; counting takes ten times the memory of the scanned piece."""
-
-_LEVELS: Final = 12
-"""How often levels are taken out of a text to see that it is shallow, at most two at once; so `MAX_DEPTH` is at least
-twice as much.
-"""
-_NO_BRACKETS: Final = bytes(set(range(256)) - set(b'[]{}"'))
-
-# A whole string; or one that continues beyond the piece, of which the quote and a last single backslash are kept. The
-# pattern never backtracks to retry from every quote, whatever the input.
-_STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|(")[^"\\]*(?:\\.[^"\\]*)*(\\?)\Z', re.DOTALL)
-_REST = re.compile(rb'[^"\\]*(?:\\(?:.|\Z)[^"\\]*)*(?:"|\Z)', re.DOTALL)
-
-_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+_HUGE = re.compile(r"[eE]\+?\d{3}|\d{200}")
+"""A number may be infinite as a double only if its text has one of these."""
 _REMEDY = "Take the file from its dataset again, or correct the entry"
 
 
@@ -50,87 +46,72 @@ def parse_json(data: bytes, where: str) -> JsonNode:
 
     Raises
     ------
-    FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a repeated key, NaN or infinite numbers
+    FormatError : as `parsed_value`
     """
-    # The parser's own limit depends on the call stack.
-    if not is_shallow(data) and (depth := nesting_depth(data)) > MAX_DEPTH:
-        raise FormatError(
-            f"the document is nested {depth} levels deep (at most {MAX_DEPTH})", where=where, remedy=_REMEDY
-        )
-    large, surrogates = len(data) >= LARGE_BYTES, _SURROGATE.search(data) is not None
+    return JsonNode(parsed_value(data, where), where, "")
+
+
+def parsed_value(
+    data: bytes | str, where: str, place: str = "", *, nonfinite: bool = False, remedy: str = _REMEDY
+) -> Any:
+    """Return the value of JSON text, which is the whole file `where`, or its entry `place`.
+
+    nonfinite : accept NaN and infinities, which Python's json module writes
+
+    Raises
+    ------
+    FormatError : not UTF-8 JSON, nested deeper than `MAX_DEPTH`, a repeated key, NaN or infinite numbers, half of a
+        surrogate pair
+    """
+
+    def refuse(what: str, inside: str = "") -> NoReturn:
+        raise FormatError(what, where=where, place=", ".join(filter(None, (place, inside))), remedy=remedy)
+
+    odd: list[str] = []
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not math.isfinite(value):
+            odd.append(text)
+        return value
+
     try:
-        text = data.decode("utf-8-sig")
-        del data
-        value = parse_large(text, _DECODER) if large else _DECODER.decode(text)
+        text = data if isinstance(data, str) else data.decode("utf-8-sig")
+        parse_float = number if _HUGE.search(text) else None  # a call a number takes longer than the rest
+        value = json.loads(text, object_pairs_hook=_unique_keys, parse_float=parse_float, parse_constant=number)
     except UnicodeDecodeError as error:
-        raise FormatError(
-            f"not UTF-8 text ({error.reason})", where=where, place=f"byte {error.start}", remedy=_REMEDY
-        ) from None
+        refuse(f"not UTF-8 text ({error.reason})", f"byte {error.start}")
     except json.JSONDecodeError as error:
-        place = f"line {error.lineno} column {error.colno}"
-        raise FormatError(f"not JSON: {error.msg}", where=where, place=place, remedy=_REMEDY) from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"invalid JSON: {error}", where=where, remedy=_REMEDY) from None
-    if surrogates:
-        _check_text(value, where)
-    return JsonNode(value, where, "")
+        at = f"character {error.pos}" if place else f"line {error.lineno} column {error.colno}"
+        refuse(f"not JSON: {error.msg}", at)
+    except RecursionError:
+        refuse(f"the document {TOO_DEEP}")
+    except ValueError as error:
+        refuse(f"invalid JSON: {error}")
+    if text.count("[") + text.count("{") > MAX_DEPTH and nesting_depth(value) > MAX_DEPTH:
+        refuse(f"the document {TOO_DEEP}")
+    if odd and not nonfinite:
+        refuse(f"the number {odd[0]:.20} is not finite", _place_of_infinity(value) or "top level")
+    if _SURROGATE.search(text) is not None:
+        try:
+            json.dumps(value, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            refuse("a text has an unpaired surrogate")
+    return value
 
 
 def canonical_json(value: Any) -> bytes:
     """Return a value as canonical JSON bytes for hashing: sorted keys, no blanks, ASCII."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_listed).encode("ascii")
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 
-def is_shallow(data: bytes) -> bool:
-    """Return whether brackets and braces are surely nested at most `MAX_DEPTH` deep; `nesting_depth` decides the rest.
-
-    The text is cut down to brackets and quotes. If all quotes then stand in pairs, no string has a bracket, and pairs
-    of brackets can be taken out level by level.
-    """
-    if data.count(b"[") + data.count(b"{") <= MAX_DEPTH:
-        return True
-    if b"\\" in data:
-        return False
-    bare = data.translate(None, _NO_BRACKETS).replace(b'""', b"")
-    if b'"' in bare:
-        return False
-    for _ in range(_LEVELS):
-        bare = bare.replace(b"[]", b"").replace(b"{}", b"")
-        if not bare:
-            return True
-    return False
-
-
-def nesting_depth(data: bytes) -> int:
-    """Return the maximum nesting depth of brackets and braces. Those inside strings do not count."""
-    at, depth, deepest = 0, 0, 0
-    while at < len(data):
-        end = min(at + _PIECE, len(data))
-        bare = data[at:end]
-        outside = None
-        if b"\\" in bare:
-            bare = _STRING.sub(rb"\1\2", bare)
-            quote = bare.find(b'"')
-        else:
-            # Most documents have no escapes; a quote then begins or ends a string.
-            odd = np.cumsum(np.frombuffer(bare, dtype=np.uint8) == ord('"'), dtype=np.uint8) & 1
-            outside = odd == 0
-            quote = bare.rfind(b'"') if odd[-1] else -1
-        if quote >= 0:
-            rest = _REST.match(data, end - len(bare) + quote + 1)
-            assert rest is not None
-            bare, end = bare[:quote], rest.end()
-        marks = np.frombuffer(bare, dtype=np.uint8)
-        opens, closes = (marks == ord("[")) | (marks == ord("{")), (marks == ord("]")) | (marks == ord("}"))
-        steps = opens.astype(np.int8) - closes.astype(np.int8)
-        if outside is not None:
-            steps *= outside[: len(bare)]
-        steps = np.cumsum(steps, dtype=np.int32)
-        if len(steps):
-            deepest = max(deepest, depth + int(steps.max()))
-            depth += int(steps[-1])
-        at = end
-    return deepest
+def nesting_depth(value: Any) -> int:
+    """Return how many arrays and objects are nested in a value."""
+    level, depth = [value], 0
+    while level := [item for item in level if isinstance(item, (dict, list))]:
+        depth += 1
+        level = [inner for item in level for inner in (item.values() if isinstance(item, dict) else item)]
+    return depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +152,8 @@ class JsonNode:
         return ((key, self[key]) for key in self.object().value)
 
     def entries(self) -> Iterator[JsonNode]:
-        """Yield the elements of this array one at a time; of a large document, only the current one is in memory."""
-        if not isinstance(self.value, (list, TextArray)):
+        """Yield the elements of this array."""
+        if not isinstance(self.value, list):
             self.fail(f"an array is expected, not {_kind(self.value)}")
         return (JsonNode(v, self.where, f"{self.place}[{i}]") for i, v in enumerate(self.value))
 
@@ -233,19 +214,6 @@ class JsonNode:
         return np.array([e.number(limit) for e in elements], dtype=np.float64)
 
 
-def _listed(value: Any) -> list[Any]:
-    if isinstance(value, TextArray):
-        return list(value)
-    raise TypeError(f"{type(value).__name__} is not JSON")
-
-
-def _check_text(value: Any, where: str) -> None:
-    try:
-        json.dumps(value, ensure_ascii=False, default=_listed).encode("utf-8")
-    except UnicodeEncodeError:
-        raise FormatError("a text has an unpaired surrogate", where=where, remedy=_REMEDY) from None
-
-
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     unique = dict(pairs)
     if len(unique) != len(pairs):
@@ -255,11 +223,19 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return unique
 
 
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"the number {name} is not allowed")
-
-
-_DECODER: Final = json.JSONDecoder(object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+def _place_of_infinity(value: Any, place: str = "") -> str | None:
+    """Return the path to the first number in a value that is not finite; None if there is none."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return place
+    inside = (
+        ((f"{place}.{key}" if place else key, item) for key, item in value.items())
+        if isinstance(value, dict)
+        else ((f"{place}[{k}]", item) for k, item in enumerate(value))
+        if isinstance(value, list)
+        else ()
+    )
+    found = (_place_of_infinity(item, own) for own, item in inside)
+    return next((path for path in found if path is not None), None)
 
 
 def _kind(value: Any) -> str:
@@ -270,7 +246,6 @@ def _kind(value: Any) -> str:
     names = {
         dict: "an object",
         list: "an array",
-        TextArray: "an array",
         str: "text",
         int: "a number",
         float: "a number",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import gzip
 import hashlib
+import io
 import os
 import shutil
 import zlib
@@ -16,10 +17,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 from condvln.formats.regular_file import open_regular
-from schemas.errors import FormatError, MissingFileError, StoreError
+from schemas.errors import FormatError, MissingFileError, StoreError, UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = [
     "GZIP_LEVEL",
@@ -31,6 +35,7 @@ __all__ = [
     "atomic_stream",
     "read_unpacked",
     "sync",
+    "write_figure",
 ]
 
 GZIP_LEVEL: Final = 2
@@ -232,3 +237,23 @@ def read_unpacked(path: Path, limit: int = LARGEST) -> bytes:
             f"holds more than {limit / 2**30:g} GiB", where=path, remedy="Split it into one file per scene (content/)"
         )
     return data
+
+
+def write_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int, metadata: Any = None) -> None:
+    """Draw a figure in the format of the file's suffix (``.png`` if there is none), and write the file.
+
+    Raises
+    ------
+    UsageError : no format has this suffix
+    StoreError : the file can't be written
+    """
+    file = Path(path)
+    form, drawn = file.suffix.removeprefix(".").lower() or "png", io.BytesIO()
+    known = figure.canvas.get_supported_filetypes()
+    if form not in known:
+        raise UsageError(
+            f"{file.suffix!r} is not a format of pictures", where=file, remedy=f"Write to .{', .'.join(sorted(known))}."
+        )
+    figure.savefig(drawn, format=form, dpi=dpi, metadata=metadata)
+    with atomic_stream(file) as stream:
+        stream.write(drawn.getvalue())

@@ -6,7 +6,9 @@ multiplied down the tree and applied to float32 positions, and the triangles are
 
 from __future__ import annotations
 
+import io
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from condvln.formats.glb import glb_scene
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.glb import MAX_GLB_BYTES, check_faces, glb_scene, gltf_scene
 from schemas.errors import FormatError, MissingFileError
 
 if TYPE_CHECKING:  # slow to import, and not needed to build from arrays
@@ -90,7 +93,10 @@ def glb_triangles(data: bytes, where: str, transform: npt.ArrayLike) -> tuple[Ar
 
 
 def _parts_of_glb(data: bytes, where: str, root: Array) -> list[tuple[Array, Array]]:
-    scene = glb_scene(data, where)
+    return _in_file_order(glb_scene(data, where), root)
+
+
+def _in_file_order(scene: trimesh.Scene, root: Array) -> list[tuple[Array, Array]]:
     return _join(scene, sorted(scene.graph.nodes_geometry, key=_node_number), root)
 
 
@@ -99,20 +105,41 @@ def _read(path: Path, root: Array) -> list[tuple[Array, Array]]:
 
     if not path.is_file():
         raise MissingFileError("the mesh file does not exist", where=path, remedy="Check the path")
-    if path.suffix.lower() == ".glb":
-        return _parts_of_glb(path.read_bytes(), str(path), root)
+    folder, kind = DatasetRoot(path.resolve().parent), path.suffix.lower().removeprefix(".")
+    data = folder.read(path.resolve().name, MAX_GLB_BYTES)
+    if kind == "glb":
+        return _parts_of_glb(data, str(path), root)
+    if kind == "gltf":
+        return _in_file_order(gltf_scene(data, str(path), folder), root)
+    if kind == "ply":
+        _check_ply(data, path)
     try:
-        # Unprocessed, because merging vertices or dropping faces would change the navmesh.
-        scene = trimesh.load_scene(path, process=False)
+        # Without a resolver no other file is opened, and no texture. Unprocessed, because merging vertices or dropping
+        # faces would change the navmesh.
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, skip_materials=True, process=False)
+        for mesh in scene.geometry.values():
+            if isinstance(mesh, trimesh.Trimesh):
+                check_faces(mesh)
     except Exception as error:  # trimesh lets any exception of its readers through
         what = f"can't be read as a mesh ({type(error).__name__}: {error})"
-        raise FormatError(what, where=path, remedy="Give a sound GLB, OBJ or PLY file") from error
+        raise FormatError(what, where=path, remedy="Give a sound GLB, glTF, OBJ or PLY file") from error
     return _join(scene, _depth_first(scene), root)
 
 
-def _node_number(name: str) -> int:
-    """Return the depth-first index of a node, read from the node's name in a ``glb_scene``."""
-    return int(name.removeprefix("node").partition("_")[0])
+def _check_ply(data: bytes, path: Path) -> None:
+    """Raise a FormatError if the header of a PLY file claims more elements than the file has bytes."""
+    for claimed in re.findall(rb"(?m)^element[ \t]+\S+[ \t]+(\S+)", data[: data.find(b"end_header")]):
+        if not claimed.isdigit() or int(claimed) > len(data):
+            what = f"the header claims {claimed.decode('latin1'):.40} elements, but the file has {len(data)} bytes"
+            raise FormatError(what, where=path, remedy="Write the file again")
+
+
+def _node_number(name: str) -> tuple[int, int]:
+    """Return the depth-first index of a node and the index of its primitive, read from the node's name in a
+    ``glb_scene``.
+    """
+    node, _, primitive = name.removeprefix("node").partition("_")
+    return int(node), int(primitive or 0)
 
 
 def _depth_first(scene: trimesh.Scene) -> list[str]:

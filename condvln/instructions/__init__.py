@@ -1,13 +1,18 @@
 """Instructions: from the relation graph to typed conditional programs and text, and from text back to its meaning."""
 
-from condvln.instructions.counterfactuals import counterfactual_group, group_id
 from condvln.instructions.parsing import parse
 from condvln.instructions.priors import LabelPriors, PriorBits
-from condvln.instructions.programs import instruction_id, oracle_linear, program_key
+from condvln.instructions.programs import (
+    instruction_id,
+    instruction_table,
+    instructions_with_text,
+    oracle_linear,
+    program_key,
+    programs_from_table,
+)
 from condvln.instructions.rendering import names_compass, render, render_moves, voice_of, with_preamble
-from condvln.instructions.sampling import ProgramSampler
+from condvln.instructions.sampling import ProgramSampler, counterfactual_group, group_id
 from condvln.instructions.stops import Stops, apart_by_centres
-from condvln.instructions.tables import instruction_table, instructions_with_text, programs_from_table
 from condvln.instructions.text_reading import Reading, reading_of
 
 __all__ = [

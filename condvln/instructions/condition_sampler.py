@@ -6,24 +6,111 @@ if one with the opposite truth would be possible in its place.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise, product
+from typing import NamedTuple
 
-import numpy as np
-
-from condvln.instructions.conditions import ConditionPool
+from condvln.instructions.conditions import ConditionPool, Form, Statements
+from condvln.instructions.conflicts import Conflicts, RuledOut, members
 from condvln.instructions.degeneracy import Claim
-from condvln.instructions.kernels.conditions import NOTHING, leave_a_question, rules_of_places
+from condvln.instructions.expected_draws import FULL_MASS
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
-from condvln.instructions.statement_tables import AskedRoom, Groups, NumberedStatements
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
-from schemas.program import Condition, Program, RoomRef
+from schemas.config.constants import PLAIN_ROOM_WEIGHT
+from schemas.program import BEARINGS, Condition, ObjectRef, Program, RoomRef
 
-__all__ = ["ConditionSampler"]
+__all__ = ["AskedStatement", "ConditionSampler"]
+
+Groups = tuple[tuple[tuple[Form, ...], float], ...]
+"""Forms of statements by the group of their predicate, and the group's weight."""
+
+
+class _Numbered:
+    """The statements of one form about one room, with their numbers among all statements of the scene.
+
+    Parameters
+    ----------
+    first : number of the first statement; those that are false come first, then those that are true
+    """
+
+    def __init__(self, statements: Statements, first: int) -> None:
+        self.statements, self.egocentric = statements, statements.egocentric
+        self.first, self.weights, self.members = {}, {}, {}
+        for truth in (False, True):
+            sums = [0.0, *map(float, statements.sums[truth])]
+            self.first[truth] = first
+            self.weights[truth] = [after - before for before, after in pairwise(sums)]
+            self.members[truth] = ((1 << len(sums) - 1) - 1) << first
+            first += len(sums) - 1
+
+    def left(self, excluded: int) -> int:
+        """Return the statements that are not `excluded`; none if those of one truth are."""
+        true, false = self.members[True] & ~excluded, self.members[False] & ~excluded
+        return true | false if true and false else 0
+
+    def share(self, excluded: int) -> float:
+        """Return the chance that one true and one false statement, drawn by their weights, are both not `excluded`."""
+        if not self.left(excluded):
+            return 0.0
+        true, false = (sum(self.among(truth, excluded)[1]) / sum(self.weights[truth]) for truth in (True, False))
+        return true * false
+
+    def among(self, truth: bool, excluded: int) -> tuple[list[int], list[float]]:
+        """Return the statements with this `truth` that are not `excluded`, and their weights."""
+        left, first = [*members(self.members[truth] & ~excluded)], self.first[truth]
+        return left, [self.weights[truth][k - first] for k in left]
+
+
+class _Left(NamedTuple):
+    """Forms of statements, the chance that a try draws and finds each, and the chance that all tries fail."""
+
+    forms: list[_Numbered]
+    chances: list[float]
+    failing: float
+
+
+class AskedStatement(NamedTuple):
+    """A statement by its number, and the name of the room that it is about."""
+
+    number: int
+    room: RoomRef
+
+
+class _AskedRoom:
+    """The statements about one room, and the weights with which they are drawn.
+
+    groups : the groups of forms; one whose statements together have little weight, since their truths hardly vary, is
+        used less
+    share : how often a condition about the room is one of presence
+    """
+
+    def __init__(self, referents: Referents, pool: ConditionPool, groups: Groups, label_only: float) -> None:
+        self.referents, self.pool = referents, pool
+        self.egocentric = any(form[0] in BEARINGS for form in pool.relations)
+        masses = [sum(pool.relations[form].mass for form in forms) for forms, _ in groups]
+        self.groups: Groups = tuple(
+            (forms, weight * min(1.0, mass / FULL_MASS)) for (forms, weight), mass in zip(groups, masses, strict=True)
+        )
+        # If a room has few statements whose truth varies, it is rarely asked whether something is there.
+        sums = () if pool.presence is None else pool.presence.sums.values()
+        presence = label_only * min([1.0, *(side[-1] for side in sums)])
+        full, used = (
+            sum(weight for forms, weight in some if forms[0][0] not in BEARINGS) for some in (groups, self.groups)
+        )
+        rest = (1.0 - presence) * (used / full if full else 1.0)
+        self.share = presence / (presence + rest) if presence else 0.0
+
+    def here(self, start: bool) -> Groups:
+        """Return the groups of forms that conditions may use, with weights; egocentric predicates only if `start`,
+        which says that this is the room of the start.
+        """
+        if start or not self.egocentric:
+            return self.groups
+        rest = [(forms, weight) for forms, weight in self.groups if forms[0][0] not in BEARINGS]
+        return tuple(rest if any(weight for _, weight in rest) else [(forms, 1.0) for forms, _ in rest])
 
 
 class ConditionSampler:
@@ -32,11 +119,13 @@ class ConditionSampler:
     Parameters
     ----------
     rooms : by room id, its referents and possible statements
+    plain : ids of the rooms that are named by their label alone
 
     Attributes
     ----------
     rooms : ids of the rooms that have true and false statements
     start_rooms : ids of the rooms where egocentric conditions are possible, if the start is there
+    conflicts : what excludes each statement
     """
 
     def __init__(
@@ -44,24 +133,35 @@ class ConditionSampler:
         rooms: Mapping[str, tuple[Referents, ConditionPool]],
         sampling: SamplingConfig,
         vocabulary: Vocabulary,
+        plain: Collection[str] = (),
         *,
         single_room: bool,
     ) -> None:
-        self._sampling, self._vocabulary = sampling, vocabulary
+        self._sampling, self._plain = sampling, plain
         label_only = sampling.label_only(single_room)
         parts = {
-            name: AskedRoom(referents, pool, self._groups(pool), label_only)
+            name: _AskedRoom(referents, pool, self._groups(pool), label_only)
             for name, (referents, pool) in sorted(rooms.items())
         }
         self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
-        self.start_rooms = tuple(name for name, part in self._rooms.items() if part.bearings)
+        self.start_rooms = tuple(name for name, part in self._rooms.items() if part.egocentric)
         self.rooms = tuple(self._rooms)
-        self._made: dict[tuple[str | None, int], Condition] = {}
-
-    @cached_property
-    def numbered(self) -> NumberedStatements:
-        """The statements about all rooms, by numbers."""
-        return NumberedStatements(self._rooms, self._vocabulary)
+        self._made: dict[AskedStatement, Condition] = {}
+        self._by_stop: dict[tuple[str, str], int] = {}
+        self._known: dict[tuple[tuple[str, ...], str | None, int], _Left] = {}
+        claims: list[Claim] = []
+        self._origin: list[tuple[Statements, bool, int]] = []
+        self._forms: dict[str, dict[Form | None, _Numbered]] = {}
+        for name, part in self._rooms.items():
+            labels, pool = part.referents.arrays.labels, part.pool
+            pools: list[tuple[Form | None, Statements | None]] = [(None, pool.presence), *pool.relations.items()]
+            self._forms[name] = {
+                form: self._number(own, name, labels, claims) for form, own in pools if own is not None
+            }
+        self.conflicts = Conflicts(claims, vocabulary)
+        self._chances = {
+            (name, start): self._chances_of(name, start) for name in self._rooms for start in (False, True)
+        }
 
     def _groups(self, pool: ConditionPool) -> Groups:
         weights = self._sampling.predicates
@@ -73,19 +173,40 @@ class ConditionSampler:
         # A group of weight 0 is used only if no other group is possible.
         return tuple(there if any(weight for _, weight in there) else [(forms, 1.0) for forms, _ in there])
 
-    def conditions(
-        self, drawn: Iterable[Sequence[int]], truths: Iterable[bool], names: Sequence[RoomRef]
-    ) -> tuple[Condition, ...]:
-        """Return the conditions that `draw_candidates` drew.
+    def _number(self, pool: Statements, room_id: str, labels: Sequence[str], claims: list[Claim]) -> _Numbered:
+        """Give numbers to the statements of a pool, and add what they claim to `claims`."""
+        found = _Numbered(pool, len(claims))
+        for truth in (False, True):
+            own = pool.claims(room_id, labels, truth)
+            claims += own
+            self._origin += [(pool, truth, k) for k in range(len(own))]
+        return found
 
-        drawn : of each condition, which of the rooms that can be asked about, its pool and its place
-        names : of the rooms of the program
+    def _chances_of(self, room_id: str, start: bool) -> list[tuple[_Numbered, float]]:
+        """Return the forms of statements about a room, and how often each is drawn."""
+        part, forms = self._rooms[room_id], self._forms[room_id]
+        here = part.here(start)
+        share = 0.0 if None not in forms else part.share if here else 1.0
+        found = [(forms[None], share)] if share else []
+        total = sum(weight for _, weight in here)
+        for own, weight in here:
+            masses = [part.pool.relations[form].mass for form in own]
+            found += [
+                (forms[form], (1.0 - share) * weight / total * mass / sum(masses))
+                for form, mass in zip(own, masses, strict=True)
+                if weight
+            ]
+        return found
+
+    def left_to_ask(self, room_ids: Iterable[str], excluded: int) -> int:
+        """Return the statements about some rooms that are not `excluded`, of forms with statements left of either
+        truth.
         """
-        asked = [name for name in names if name.room_id in self._rooms]
-        return tuple(
-            self._condition(asked[room], pool, truth, place)
-            for truth, (room, pool, place) in zip(truths, drawn, strict=True)
-        )
+        found = 0
+        for room_id in room_ids:
+            for form in self._forms.get(room_id, {}).values():
+                found |= form.left(excluded)
+        return found
 
     def is_left_by(self, room_id: str, stop: tuple[str, str]) -> bool:
         """Return whether any condition can be asked about a room in a text with a certain stop: the statements of some
@@ -93,10 +214,98 @@ class ConditionSampler:
 
         stop : (room id, label) of the stop
         """
-        numbered = self.numbered
-        given = numbered.presupposed([numbered.room(stop[0]), numbered.label(stop[1])], (), ())
-        room, nothing_said = numbered.room(room_id), numbered.claims(())
-        return leave_a_question(nothing_said, room, NOTHING, *numbered.pools_of(room), given, numbered.tables)
+        return self.left_to_ask([room_id], self.excluded_by_stop(*stop)) > 0
+
+    def excluded_by_stop(self, room_id: str, label: str) -> int:
+        """Return the statements that can't be asked in a text with a stop, whatever else is said of it."""
+        key = (room_id, label)
+        if key not in self._by_stop:
+            excluded = self.conflicts.self_contradictory
+            for statements in self.conflicts.by_stop((room_id, None, label, ())).values():
+                excluded |= statements
+            self._by_stop[key] = excluded
+        return self._by_stop[key]
+
+    def draw(
+        self,
+        truths: Sequence[bool],
+        rooms: Sequence[RoomRef],
+        excluded: RuledOut,
+        draws: Draws,
+        *,
+        luck: float,
+        start_room: str | None,
+        bearings: int,
+    ) -> list[AskedStatement] | None:
+        """Return one statement for each of `truths`, such that one of the other truth could be in its place; None if
+        none is found for some truth.
+
+        A statement is found by tries, at most ``sampling.attempts``: each draws a room, a form of statements about it,
+        and a true and a false statement of this form, and it fails if either is excluded. (If only what is left were
+        drawn, statements with little weight would be asked where the others are used up.) The chance of each outcome is
+        computed, so that all tries take one draw.
+
+        Parameters
+        ----------
+        rooms : the rooms of the text
+        excluded : what the stops of the text exclude; what the drawn statements exclude is added
+        luck : a uniform that decides whether the first statement is found; see `fails`
+        bearings : most egocentric statements; they are about `start_room`
+        """
+        asked = {room.room_id: room for room in rooms}
+        found: list[AskedStatement] = []
+        for truth in truths:
+            gone = excluded.union
+            left = self._left(asked, start_room if bearings > 0 else None, gone)
+            if (draws.uniform() if found else luck) < left.failing:
+                return None
+            form = draws.weighted(left.forms, left.chances)
+            number = draws.weighted(*form.among(truth, gone))
+            claim = self.conflicts.statements[number]
+            excluded.add(claim)
+            found.append(AskedStatement(number, asked[claim.room_id]))
+            bearings -= form.egocentric
+        return found
+
+    def fails(self, luck: float, room_ids: Sequence[str], stops: Iterable[tuple[str, str]]) -> bool:
+        """Return True if no first statement will be found, however the rooms and stops of a text are named: their names
+        only exclude further statements. `stops` are (room id, label) of each.
+
+        Most draws in rooms with few things to ask about end here, before anything is named.
+        """
+        if self.start_rooms:
+            return False  # how many egocentric statements are left depends on the names
+        excluded = 0
+        for stop in stops:
+            excluded |= self.excluded_by_stop(*stop)
+        return luck < self._left(room_ids, None, excluded).failing
+
+    def _left(self, room_ids: Iterable[str], start_room: str | None, excluded: int) -> _Left:
+        """Return the forms of statements about some rooms that have both truths among those that are not `excluded`,
+        and how likely they are found. Answers are kept, since draws ask again and again.
+        """
+        asked = tuple([room_id for room_id in room_ids if room_id in self._rooms])
+        relevant = 0
+        for room_id in asked:
+            relevant |= self.conflicts.in_room(room_id)
+        key = (asked, start_room, excluded & relevant)
+        if key not in self._known:
+            # "If, in the bedroom that has the desk, the lamp …" is hard to follow: plain names are preferred.
+            preferences = [PLAIN_ROOM_WEIGHT if room_id in self._plain else 1.0 for room_id in asked]
+            forms, chances = list[_Numbered](), list[float]()
+            for room_id, preference in zip(asked, preferences, strict=True):
+                for form, chance in self._chances[room_id, room_id == start_room]:
+                    share = form.share(excluded)
+                    if share:
+                        forms.append(form)
+                        chances.append(preference / sum(preferences) * chance * share)
+            self._known[key] = _Left(forms, chances, (1.0 - min(1.0, sum(chances))) ** self._sampling.attempts)
+        return self._known[key]
+
+    def excluded_by(self, stops: Iterable[ObjectRef], rooms: Iterable[RoomRef]) -> RuledOut:
+        """Return what the phrases of stops exclude, in a text that names some rooms."""
+        phrases = [(stop.room.room_id, stop.room.anchor_label, stop.label, _anchors(stop)) for stop in stops]
+        return RuledOut(self.conflicts, phrases, {room.room_id: room.anchor_label for room in rooms})
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
         """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is
@@ -105,51 +314,46 @@ class ConditionSampler:
         The replacement is about the same room, and has the same kind, predicate, definiteness and, if possible, label.
         """
         old = program.conditions[index]
-        if old.room.room_id not in self._rooms:
+        key = None if old.qualifier is None else (old.qualifier.predicate, old.definite)
+        form = self._forms.get(old.room.room_id, {}).get(key)
+        if form is None:
             return None
-        part = self._rooms[old.room.room_id]
-        claims = [Claim.of(condition) for k, condition in enumerate(program.conditions) if k != index]
-        truth = not old.truth
-        form = None if old.qualifier is None else (old.qualifier.predicate, old.definite)
-        statements = part.pool.presence if form is None else part.pool.relations.get(form)
-        if statements is None:
-            return None
-        numbered = self.numbered
-        number = next(k for k, pool in enumerate(numbered.pools) if pool is statements)
-        first, room = numbered.first(number, truth), numbered.room(old.room.room_id)
-        others, room_anchor = numbered.claims(claims), numbered.label(old.room.anchor_label)
-        said, label = numbered.given(move for leaf in program.leaves for move in leaf.moves), numbered.label(old.label)
-        rules = rules_of_places(others, room, room_anchor, number, int(truth), said, numbered.tables)
-        labels = numbered.tables.labels[first : first + len(rules)]
-        sound = rules < 0
-        if old.is_bearing:
-            # From one start pose an object can't both be in a direction and not.
-            sound &= labels != label
-        alike = sound & (labels == label)
-        places = np.flatnonzero(alike if alike.any() else sound).tolist()
+        others = [condition for k, condition in enumerate(program.conditions) if k != index]
+        excluded = self.excluded_by(
+            (move for leaf in program.leaves for move in leaf.moves), [named.room for named in program.named]
+        )
+        for other in others:
+            excluded.add(Claim.of(other))
+        left, weights = form.among(not old.truth, excluded.union)
+        labels = [self.conflicts.statements[k].label for k in left]
+        # From one start pose an object can't both be in a direction and not. Otherwise the same label is preferred.
+        alike = not old.is_bearing and old.label in labels
+        places = [k for k, label in enumerate(labels) if (label == old.label) == alike]
         if not places:
             return None
         # The same weights as for drawn conditions, so that a twin's words predict its truth no better than theirs.
-        sums = [float(value) for value in statements.sums[truth]]
-        weights = [sums[0], *(after - before for before, after in pairwise(sums))]
-        place = draws.weighted(places, [weights[k] for k in places])
-        return self._condition(old.room, number, truth, first + place)
+        number = draws.weighted([left[k] for k in places], [weights[k] for k in places])
+        return self.condition(AskedStatement(number, old.room))
 
-    def _condition(self, room: RoomRef, pool: int, truth: bool, place: int) -> Condition:
-        """Return the condition that states what is at `place` of a pool (see `NumberedStatements`)."""
-        key = (room.anchor_id, place)  # each place belongs to one room
-        if key not in self._made:
-            question = self.numbered.pools[pool].question(truth, place - self.numbered.first(pool, truth))
+    def condition(self, asked: AskedStatement) -> Condition:
+        """Return the condition that asks a statement."""
+        if asked not in self._made:
+            pool, truth, k = self._origin[asked.number]
+            question = pool.question(truth, k)
             qualifier = None
             if question.predicate is not None:
-                arrays = self._rooms[room.room_id].referents.arrays
+                arrays = self._rooms[asked.room.room_id].referents.arrays
                 qualifier = qualifier_of(arrays, question.predicate, question.anchors)
-            self._made[key] = Condition(
+            self._made[asked] = Condition(
                 label=question.label,
-                room=room,
+                room=asked.room,
                 qualifier=qualifier,
                 definite=question.definite,
                 truth=question.truth,
                 witnesses=question.witnesses,
             )
-        return self._made[key]
+        return self._made[asked]
+
+
+def _anchors(stop: ObjectRef) -> tuple[str, ...]:
+    return () if stop.qualifier is None else stop.qualifier.anchor_labels

@@ -16,22 +16,28 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.balance import balanced_weights, jointly_balanced_weights
-from condvln.instructions.informative import informative_weights, statement_weights
+from condvln.instructions.balance import (
+    UNCHANGED,
+    balanced_weights,
+    informative_weights,
+    jointly_balanced_weights,
+    statement_weights,
+)
+from condvln.instructions.degeneracy import Claim
 from condvln.instructions.predicates import ASKED, COMPASS
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
-from condvln.instructions.stagings import UNCHANGED
 from condvln.instructions.statements import StatementTruths, statement_truths
 from condvln.labels import Vocabulary
+from condvln.labels.lists import LEAST_WORTH, worth
 from schemas.program import BEARINGS, Predicate
 
-__all__ = ["ConditionPool", "Form", "Question", "RelationPool"]
+__all__ = ["ConditionPool", "Form", "PresencePool", "Question", "RelationPool", "Statements"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -67,6 +73,19 @@ class RelationPool:
     sums: Mapping[bool, F64]
     mass: float
 
+    @property
+    def egocentric(self) -> bool:
+        """Whether the start pose decides the statements' truth."""
+        return self.truths.predicate in BEARINGS
+
+    def claims(self, room_id: str, labels: Sequence[str], truth: bool) -> list[Claim]:
+        """Return what the statements with this `truth` claim. `labels` are those of the room's objects."""
+        names = [tuple([labels[i] for i in row]) for row in self.truths.anchors.tolist()]
+        return [
+            Claim(room_id, None, self.truths.labels[row], names[column], presence=False)
+            for row, column in self.cells[truth].tolist()
+        ]
+
     def question(self, truth: bool, cell: int) -> Question:
         """Return the statement with index `cell` among the statements with this `truth`."""
         row, column = self.cells[truth][cell].tolist()
@@ -87,10 +106,21 @@ class PresencePool:
 
     questions: Mapping[bool, tuple[Question, ...]]
     sums: Mapping[bool, tuple[float, ...]]
+    egocentric: ClassVar[bool] = False
+
+    def claims(self, room_id: str, labels: Sequence[str], truth: bool) -> list[Claim]:
+        """Return what the statements with this `truth` claim."""
+        return [Claim(room_id, None, question.label) for question in self.questions[truth]]
 
     def question(self, truth: bool, place: int) -> Question:
         """Return the statement with index `place` among the statements with this `truth`."""
         return self.questions[truth][place]
+
+
+Statements: TypeAlias = PresencePool | RelationPool
+"""The statements of one kind and form about one room. A kind of condition is such a class: it says what its statements
+claim, their running weights, whether they are egocentric, and which `Question` each of them asks.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,36 +152,11 @@ class ConditionPool:
         asked : predicates that conditions may use
         alone : weigh the statements for programs of one condition
         """
-        (found,) = cls.weighed(referents, bits, elsewhere, vocabulary, asked, (alone,))
-        return found
-
-    @classmethod
-    def weighed(
-        cls,
-        referents: Referents,
-        bits: PriorBits,
-        elsewhere: Iterable[str],
-        vocabulary: Vocabulary,
-        asked: Container[str],
-        ways: Sequence[bool],
-    ) -> tuple[ConditionPool, ...]:
-        """Return what `of` returns for each value of `alone` in `ways`; most of the work is shared."""
         if not referents.room.asked:
-            return (cls(None, {}),) * len(ways)
-        bearings = _bearings(referents, asked)
-        counted = [
-            (truths, _Counted.of(referents, truths, bits))
-            for truths in statement_truths(referents, vocabulary)
-            if truths.predicate in asked
-        ]
-        elsewhere = {*elsewhere}
-        return tuple(
-            cls(
-                _presence(referents, bits, elsewhere, vocabulary, alone=alone) if referents.complete else None,
-                {**_relations(referents, counted, alone=alone), **bearings},
-            )
-            for alone in ways
-        )
+            return cls(None, {})
+        relations = _relations(referents, bits, vocabulary, asked, alone=alone) | _bearings(referents, asked)
+        complete = referents.complete
+        return cls(_presence(referents, bits, {*elsewhere}, vocabulary, alone=alone) if complete else None, relations)
 
 
 def _presence(
@@ -187,12 +192,16 @@ def _presence(
 
 
 def _relations(
-    referents: Referents, counted: Iterable[tuple[StatementTruths, _Counted]], *, alone: bool
+    referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str], *, alone: bool
 ) -> dict[Form, RelationPool]:
     pools: dict[Form, RelationPool] = {}
     uneven: list[StatementTruths] = []
-    for truths, counts in counted:
-        weights = counts.weights(alone=alone) if counts.known else balanced_weights(truths.true, truths.false)
+    for truths in statement_truths(referents, vocabulary):
+        if truths.predicate not in asked:
+            continue
+        weights = _counted_weights(referents, truths, bits, alone=alone)
+        if weights is None:
+            weights = balanced_weights(truths.true, truths.false)
         if weights is not None:
             pools.update(_pools_of(referents, truths, weights))
         elif truths.predicate in COMPASS:
@@ -246,13 +255,14 @@ def _relation_pool(
 
 
 def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, RelationPool]:
-    """Return the egocentric statements about a room by predicate. They use only objects that are not small and whose
-    label is unique.
+    """Return the egocentric statements about a room by predicate. They use only objects that are not small, whose label
+    is unique, and that are worth going to.
 
     The start pose is chosen to give the wanted truths, so each object can be used with either truth.
     """
     own = referents.arrays.labels
-    labels = tuple(sorted({own[i] for i in np.flatnonzero(referents.unique & referents.sized & ~referents.small)}))
+    fit = {own[i] for i in np.flatnonzero(referents.unique & referents.sized & ~referents.small)}
+    labels = tuple(sorted(label for label in fit if worth(label, referents.room.label).goto >= LEAST_WORTH))
     if not labels:
         return {}
     exact = np.array([[x == label for x in own] for label in labels], dtype=bool)
@@ -282,63 +292,30 @@ def _bearings(referents: Referents, asked: Container[str]) -> dict[Form, Relatio
     }
 
 
-class _OfTruth(NamedTuple):
-    """The s statements of one predicate about a room that have one truth.
-
-    rows, columns (s,) : where they stand in `StatementTruths.true` or `false`
-    weights (s,) : their weights
-    several, one (s,) : factors of the weights in programs of several conditions, and of one
-    label (s,) : factors of the weights of their label
+def _counted_weights(
+    referents: Referents, truths: StatementTruths, bits: PriorBits, *, alone: bool
+) -> dict[bool, F64] | None:
+    """Return the weights of all statements of one predicate by truth, from what the priors count; None if none of them
+    was counted in enough rooms. `alone`: for programs of one condition.
     """
-
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    weights: F64
-    several: F64
-    one: F64
-    label: F64
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Counted:
-    """What the priors count of all statements of one predicate about a room.
-
-    shape : that of `StatementTruths.true`
-    known : at least one statement was counted in enough rooms
-    parts : the statements by truth
-    """
-
-    shape: tuple[int, ...]
-    known: bool
-    parts: Mapping[bool, _OfTruth]
-
-    @classmethod
-    def of(cls, referents: Referents, truths: StatementTruths, bits: PriorBits) -> _Counted:
-        room_type, own = referents.room.label, referents.arrays.labels
-        evidence, definite = bits.evidence(room_type), truths.definite.tolist()
-        forms = [(room_type, label, truths.predicate, one) for label, one in zip(truths.labels, definite, strict=True)]
-        factors = np.array([bits.label_weights.get(form, (1.0, 1.0)) for form in forms])
-        anchors = truths.anchor_keys(own)
-        known, parts = False, dict[bool, _OfTruth]()
-        for truth, support in ((True, truths.true), (False, truths.false)):
-            rows, columns = np.nonzero(support)
-            said = [
-                (room_type, truths.labels[row], truths.predicate, anchors[column], definite[row])
-                for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-            ]
-            if said:
-                counts = np.array([bits.counts.get(statement, (0, 0)) for statement in said], dtype=np.float64)
-                even = [bits.even.get(statement, UNCHANGED) for statement in said]
-                known |= bool((counts.sum(axis=1) >= evidence).any())
-                weights = statement_weights(counts, evidence)[truth]
-                several, one = np.array([own.several for own in even]), np.array([own.one for own in even])
-                parts[truth] = _OfTruth(rows, columns, weights, several, one, factors[rows, int(truth)])
-        return cls(truths.true.shape, known, parts)
-
-    def weights(self, *, alone: bool) -> dict[bool, F64]:
-        """Return the weights of all statements by truth; `alone`: for programs of one condition."""
-        tables = {True: np.zeros(self.shape), False: np.zeros(self.shape)}
-        for truth, part in self.parts.items():
-            even = part.one if alone else part.several
-            tables[truth][part.rows, part.columns] = part.label * (part.weights * (even if truth else 1.0 / even))
-        return tables
+    room_type, evidence, definite = referents.room.label, bits.evidence(referents.room.label), truths.definite.tolist()
+    forms = [(room_type, label, truths.predicate, one) for label, one in zip(truths.labels, definite, strict=True)]
+    factors = np.array([bits.label_weights.get(form, (1.0, 1.0)) for form in forms])
+    anchors = truths.anchor_keys(referents.arrays.labels)
+    known, tables = False, dict[bool, F64]()
+    for truth, support in ((True, truths.true), (False, truths.false)):
+        tables[truth] = np.zeros(support.shape)
+        rows, columns = np.nonzero(support)
+        said = [
+            (room_type, truths.labels[row], truths.predicate, anchors[column], definite[row])
+            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+        ]
+        if not said:
+            continue
+        counts = np.array([bits.counts.get(statement, (0, 0)) for statement in said], dtype=np.float64)
+        known |= bool((counts.sum(axis=1) >= evidence).any())
+        fitted = [bits.even.get(statement, UNCHANGED) for statement in said]
+        even = np.array([own.one if alone else own.several for own in fitted])
+        weights = statement_weights(counts, evidence)[truth] * (even if truth else 1.0 / even)
+        tables[truth][rows, columns] = factors[rows, int(truth)] * weights
+    return tables if known else None

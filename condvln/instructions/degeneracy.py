@@ -1,4 +1,5 @@
-"""Rules against degenerate instructions. Each has a name, is counted by the sampler, and applies to whole programs.
+"""Rules against degenerate instructions, and the other reasons for which a draw of a program is rejected. Each has a
+name and is counted by the sampler; the rules apply to whole programs.
 
 Rules consider what the text says, not what is true, except that rooms and objects are distinguished by id. Two labels
 clash if a speaker might use one word for both (``Vocabulary.overlapping``).
@@ -17,7 +18,9 @@ from schemas.program import SHAPES, Category, Condition, ObjectRef, Program
 
 __all__ = [
     "REASONS",
+    "RULES",
     "Claim",
+    "GivenUp",
     "Presupposed",
     "clash",
     "degeneracies",
@@ -27,7 +30,7 @@ __all__ = [
     "returns_to_room",
 ]
 
-REASONS: Final[dict[str, str]] = {
+RULES: Final[dict[str, str]] = {
     "tautology": "a condition's own words decide its truth: by its room's name, or by its anchor",
     "implied": "one condition's truth follows from another one, or from what that one presupposes",
     "one_label": "two conditions are about objects that may have the same name, so 'if there is one' is ambiguous",
@@ -251,3 +254,28 @@ def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
         if reason:
             found.add(reason)
     return tuple(sorted(found))
+
+
+REASONS: Final[dict[str, str]] = {
+    "nothing_to_ask": "no nameable room has both true and false statements: its annotation is incomplete, "
+    "it has too few objects, or they are not visible from where an agent can stand",
+    "no_targets": "too few objects can be named, reached and distinguished",
+    "no_waypoint": "no further stop is far enough from the leaf's other stops and the other leaves' goals",
+    "one_first_stop": "more than half of the leaves begin with the same stop",
+    "no_condition": "every statement of the wanted truth violates a rule",
+    "composition_missed": "the draw does not have the composition that the cell asks for",
+    "words_missed": "the text has fewer or more words than the cell asks for",
+    "no_twin": "no condition that decides the gold leaf has a counterpart of the opposite truth",
+    "duplicate": "the same program was drawn before",
+    "label_over_cap": "every possible target label already has its share of the scene's leaves",
+    **RULES,
+}
+"""All reasons that the program stage counts in the rejections table."""
+
+
+class GivenUp(Exception):
+    """A draw that can't be completed; `reason` is a key of `REASONS`."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL_MASS", "ExpectedDraws", "coins", "fitted_octaves", "rounded_octaves"]
+__all__ = ["FULL_MASS", "ExpectedDraws", "fitted_log_factors", "hashed_signs", "rounded_log_factors"]
 
 FULL_MASS: Final = 0.3
 """Total weight of the statements of a group, of the truth that has less, from which on the group is used as often as
@@ -30,17 +30,17 @@ its weight says. With less it is used in proportion less: a room that could ask 
 true would ask that, however small its weight. In 1,000 made houses, with factors, 1 serves as well.
 """
 
-EVENING_ROUNDS: Final = 30
+FITTING_ROUNDS: Final = 30
 """Iterations of proportional fitting."""
 
 MOST_A_ROUND: Final = 5.0
 """Largest change of a factor in one round."""
 
 FACTOR_STEPS: Final = 16
-"""Steps per octave to which factors are rounded, so that rows do not depend on the last bits of a sum."""
+"""Steps per doubling to which factors are rounded, so that rows do not depend on the last bits of a sum."""
 
-MOST_OCTAVES: Final = 10
-"""Largest factor, in octaves: a statement that can't be balanced is practically never drawn."""
+MOST_LOG_FACTOR: Final = 10
+"""Largest factor, as a binary logarithm: a statement that can't be balanced is practically never drawn."""
 
 LEAST_SHARE: Final = 1e-9
 """Smallest share of a statement's draws that counts as more than none; below it, sums are only rounding errors."""
@@ -97,7 +97,7 @@ class ExpectedDraws:
         places, place = np.unique((self.code >> 1).astype(np.int64) * scenes + scene, return_inverse=True)
         excess: F64 = np.bincount(place, np.where(self.code & 1, drawn, -drawn), len(places)).astype(np.float64)
         counted = np.zeros(len(places))
-        np.maximum.at(counted, place, _parts(weights[room], most[scene]))
+        np.maximum.at(counted, place, _ratios(weights[room], most[scene]))
         return places // scenes, excess, counted
 
     def expected(self, weights: F64) -> F64:
@@ -110,44 +110,44 @@ class ExpectedDraws:
         masses = np.bincount(self._group_of_form, mass, len(self._room_of_group))
         rooms, there = self._room_of_group, masses > 0
         of_room = np.bincount(rooms, self._group_weights * there, len(self._room_weights))[rooms]
-        used = _parts(self._group_weights * np.minimum(1.0, masses / FULL_MASS) * there, of_room)
+        used = _ratios(self._group_weights * np.minimum(1.0, masses / FULL_MASS) * there, of_room)
         asked = self._presence * np.minimum(1.0, masses)
         share = np.bincount(rooms, asked, len(self._room_weights))[rooms]
         chance = np.where(self._presence > 0, asked, (1.0 - share) * used)
         whole = np.bincount(rooms, chance, len(self._room_weights))
         # A room of which nothing can be asked leaves its part to the others.
         asked_about = np.where(whole > 0, self._room_weights, 0.0)
-        room_share = _parts(asked_about, np.bincount(self._scene_of_room, asked_about)[self._scene_of_room])
-        rate = _parts(room_share[rooms] * chance, masses * whole[rooms])
-        return _parts(weights * (mass * rate[self._group_of_form])[self._form], sums.ravel()[key])
+        room_share = _ratios(asked_about, np.bincount(self._scene_of_room, asked_about)[self._scene_of_room])
+        rate = _ratios(room_share[rooms] * chance, masses * whole[rooms])
+        return _ratios(weights * (mass * rate[self._group_of_form])[self._form], sums.ravel()[key])
 
 
-def _parts(values: F64, wholes: NDArray[Any]) -> F64:
+def _ratios(values: F64, wholes: NDArray[Any]) -> F64:
     """Return values divided by wholes (n,); 0 where the whole is 0."""
     found: F64 = np.divide(values, wholes, out=np.zeros_like(values), where=wholes > 0)
     return found
 
 
-def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 0.0) -> F64:
+def fitted_log_factors(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 0.0) -> F64:
     """Return the binary logarithm of one factor for each statement, (s,).
 
     Parameters
     ----------
     blocks : the draws in all scenes, some scenes in each block; they are iterated over many times, so no iterator
-    excess (s,) : wanted excess of true draws over false ones, as a share of both, in parts of what a fair coin
-        would make it
+    excess (s,) : wanted imbalance, the excess of true draws over false ones as a share of both, as a share of what a
+        fair coin would make it
     added : number of scenes, with as many draws each as a statement has on average, that are added to its draws of
         either truth, so that statements of few scenes are changed less. A scene counts less where little is asked about
         the room (`ExpectedDraws.of_scenes`)
     """
     if isinstance(blocks, Iterator):
         raise TypeError("blocks are iterated over many times, which an iterator can't be")
-    octaves = np.zeros(len(excess))
-    coin_share, scenes = _coin_share(blocks, len(excess))
-    share = excess * coin_share
-    for _ in range(EVENING_ROUNDS):
-        factors = np.exp2(np.stack([-octaves, octaves], axis=1)).ravel()
-        drawn = np.zeros(2 * len(octaves))
+    log_factors = np.zeros(len(excess))
+    fair_imbalance, scenes = _fair_imbalance(blocks, len(excess))
+    share = excess * fair_imbalance
+    for _ in range(FITTING_ROUNDS):
+        factors = np.exp2(np.stack([-log_factors, log_factors], axis=1)).ravel()
+        drawn = np.zeros(2 * len(log_factors))
         for block in blocks:
             np.add.at(drawn, block.code, block.expected(block.weights * factors[block.code]))
         false, true = drawn[0::2], drawn[1::2]
@@ -158,11 +158,11 @@ def fitted_octaves(blocks: Iterable[ExpectedDraws], excess: F64, added: float = 
         change = np.sqrt(
             wanted_true / (np.maximum(true, least) + more) * (np.maximum(false, least) + more) / wanted_false
         )
-        octaves += np.log2(np.clip(change, 1.0 / MOST_A_ROUND, MOST_A_ROUND))
-    return octaves
+        log_factors += np.log2(np.clip(change, 1.0 / MOST_A_ROUND, MOST_A_ROUND))
+    return log_factors
 
 
-def _coin_share(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, F64]:
+def _fair_imbalance(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, F64]:
     """Return √Σ d_k² / Σ |d_k| of each statement, where d_k are its draws in scene k without factors; and the number of
     scenes in which it occurs, each as much as it is asked about the room. Both (count,).
 
@@ -181,13 +181,13 @@ def _coin_share(blocks: Iterable[ExpectedDraws], count: int) -> tuple[F64, F64]:
     return np.minimum(found, 1.0), scenes
 
 
-def rounded_octaves(octaves: F64) -> I64:
-    """Return octaves in whole steps, none beyond the largest factor."""
-    most = FACTOR_STEPS * MOST_OCTAVES
-    return np.clip(np.rint(FACTOR_STEPS * octaves), -most, most).astype(np.int64)
+def rounded_log_factors(log_factors: F64) -> I64:
+    """Return binary logarithms in whole steps, none beyond the largest factor."""
+    most = FACTOR_STEPS * MOST_LOG_FACTOR
+    return np.clip(np.rint(FACTOR_STEPS * log_factors), -most, most).astype(np.int64)
 
 
-def coins(statements: Sequence[tuple[object, ...]]) -> F64:
+def hashed_signs(statements: Sequence[tuple[object, ...]]) -> F64:
     """Return 1 or -1 for each statement, by its hash."""
-    tossed = (hashlib.blake2b(repr(one).encode(), digest_size=1).digest()[0] & 1 for one in statements)
-    return np.fromiter((1.0 if one else -1.0 for one in tossed), np.float64, len(statements))
+    bits = (hashlib.blake2b(repr(one).encode(), digest_size=1).digest()[0] & 1 for one in statements)
+    return np.fromiter((1.0 if one else -1.0 for one in bits), np.float64, len(statements))

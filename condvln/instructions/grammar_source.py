@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from importlib.resources import files
 from itertools import pairwise, product
 from typing import Final
 
@@ -20,9 +21,6 @@ PUNCTUATION: Final = {",": "COMMA", ";": "SEMICOLON", ":": "COLON", ".": "STOP",
 ANSWERS: Final = ("yes_one", "yes_it", "yes_any", "no_one", "no_it", "no_any")
 """Rules of the phrases that answer a question; all but two show what kind of question it was."""
 
-_RULES: Final = {"leaf": "moves", "again": "yes", "not_again": "no", "lacks": "no"}
-"""Grammar rules of slots that have another name; an answer may be given in full."""
-
 _ARTICLES: Final = (
     ("a", "indefinite"),
     ("lo", "pronoun"),
@@ -32,6 +30,9 @@ _ARTICLES: Final = (
     ("ningun", "no"),
 )
 """Words of phrases that agree with a noun, and their lists of forms."""
+
+_LINE: Final = re.compile(r"(?:([?!])(\w+):)?(.*)")
+"""A line of ``rules.lark``: a condition and the name of what the language must have or lack, and the rule."""
 
 _TOKEN: Final = re.compile(r"\(\d\)|[^\s,;:.?]+|[,;:.?]")
 """Pattern of the words, numbers in brackets and punctuation of a template."""
@@ -57,11 +58,9 @@ class _GrammarWriter:
             if name not in ("then", "second", "last", "there", "same_place", *ANSWERS) and phrases:
                 rules.append(f"_{name}: {self._any(phrases)}")
         rules.append(f"_joint: {self._any([*w.slots['then'], *w.slots['second'], *w.slots['last']])}")
-        there = " | there" if w.slots["there"] else ""
-        if there:
+        if w.slots["there"]:
             rules.append(f"there: {self._any(w.slots['there'])}")
-        lying = "[_lying] " if w.lying else ""
-        if lying:
+        if w.lying:
             rules.append(f"_lying: {self._any([w.lying])}")
         rules += self._answers()
         rules += [f"{rule_of(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
@@ -69,62 +68,7 @@ class _GrammarWriter:
         rules += [f"direction_{rule_of(name)}: {self._any([text])}" for name, text in w.directions.items()]
         rules += [f"{rule_of(bearing)}: {self._any(phrases)}" for bearing, phrases in w.bearings.items()]
         rules += [f"{rule_of(bearing)}_stop: {self._any(phrases)}" for bearing, phrases in w.bearing_stops.items()]
-        compared = "_THE superlative _noun" if w.superlative_first else "_THE _noun superlative"
-        one_anchor = " | ".join(rule_of(p) for p in w.predicates if anchors_of(p) == 1)
-        rules += [
-            "start: [_facing direction] [_scope room COMMA] body",
-            "direction: (" + " | ".join(f"direction_{rule_of(d)}" for d in w.directions) + ") STOP",
-            "moves: _go object (_joint object)*",
-            "bare_moves: _to object (_joint object)* -> moves",
-            f"object: _THE _noun [_where_of] | _THE _noun ({lying}qualifier [_where_anchor] | bearing_stop)",
-            *([f"    | _THE _noun _where_of {lying}qualifier"] if w.room_first else []),
-            f"    | {compared} [_where_of]",
-            *(["    | compound"] if w.compounds[0] else []),
-            "compound: _THE ROOM NOUN",
-            "_where: _in room" + (" | here" if w.slots["same_place"] else ""),
-            *([f"here: {self._any(w.slots['same_place'])}"] if w.slots["same_place"] else []),
-            f"_where_anchor: _of_anchor room{there}",
-            f"_where_of: _of room{there}",
-            "room: _THE (ROOM | BOTH) [_with _THE _noun]",
-            "    | _THAT (ROOM | BOTH) -> same_room",
-            f"qualifier: ({one_anchor}) _THE _noun"
-            f" | {rule_of('between')} _THE _noun {self._terminal(w.both)} _THE _noun",
-            "bearing: " + " | ".join(rule_of(b) for b in w.bearings),
-            "bearing_stop: " + " | ".join(f"{rule_of(b)}_stop" for b in w.bearing_stops),
-            "superlative: " + " | ".join(rule_of(p) for p in w.superlatives),
-            f"asserted: {self._either('exists')} _noun [qualifier] [_where] -> some",
-            *(["    | _in room _exists _noun [qualifier] -> some"] if w.room_first else []),
-            *(["    | room _has _noun [qualifier] -> some"] if w.slots["has"] else []),
-            f"    | _THE _noun [_where_of] {self._either('is')} (qualifier | bearing) -> the",
-            f"    | COMMA _in room COMMA _THE _noun {self._either('is')} (qualifier | bearing) -> the",
-            *([f"    | compound {self._either('is')} (qualifier | bearing) -> the"] if w.compounds[0] else []),
-            f"denied: {self._either('absent')} _noun [qualifier] [_where] -> some",
-            *(["    | _in room _absent _noun [qualifier] -> some"] if w.room_first else []),
-            *(["    | room _has_no _noun [qualifier] -> some"] if w.slots["has"] else []),
-            "    | _THE _noun [_where_of] _is_not (qualifier | bearing) -> the",
-            "    | COMMA _in room COMMA _THE _noun _is_not (qualifier | bearing) -> the",
-            *(["    | compound _is_not (qualifier | bearing) -> the"] if w.compounds[0] else []),
-            "neither: _neither_a _noun _nor_a _noun",
-            "joined: asserted | (_there_also | _also_a) _noun [qualifier] [_where] -> some"
-            + (" | _also _noun [qualifier] [_where] -> some" if w.slots["also"] else ""),
-            *(["    | _in room (_there_also | _also_a) _noun [qualifier] -> some"] if w.room_first else []),
-            "not_joined: denied" + (" | _nor _noun [qualifier] [_where] -> some" if w.slots["nor"] else ""),
-            "question: _is_there _noun [qualifier] [_where] QUESTION -> some",
-            "    | _asks_is _THE _noun [_where_of] (qualifier | bearing) QUESTION -> the",
-            *(["    | _asks_is compound (qualifier | bearing) QUESTION -> the"] if w.compounds[0] else []),
-            "see: _see asserted",
-            "    | _look _noun [qualifier] [_where] -> some",
-            "    | _look_at _THE _noun [_where_of] -> the",
-            *(["    | _look_at compound -> the"] if w.compounds[0] else []),
-            *(
-                [] if w.room_first else ["    | _check room _for _noun [qualifier] -> some"]
-            ),  # it is "see" with the room first
-            "_noun: NOUN | BOTH",
-            "is_it: _it_is (qualifier | bearing)",
-            "is_it_not: _it_is_not (qualifier | bearing)",
-            f"yes: {' | '.join(self._answering('yes'))} | is_it | asserted",
-            f"no: {' | '.join(self._answering('no'))} | is_it_not | denied",
-        ]
+        rules += self._shared_rules()
         bodies: dict[str, str] = {}
         for category in CATEGORIES:
             for k, template in enumerate(w.templates[category]):
@@ -136,6 +80,32 @@ class _GrammarWriter:
             rules.append(f"{name}: " + " | ".join(right for right, its in bodies.items() if its == name))
         rules.append("body: " + " | ".join(dict.fromkeys(bodies.values())))
         return "\n".join([*rules, *self._terminal_lines()]) + "\n"
+
+    def _shared_rules(self) -> list[str]:
+        """Return the rules of ``rules.lark`` as they are in this language."""
+        w, slots = self.words, self.words.slots
+        has: dict[str, object] = {"room_first": w.room_first, "compounds": w.compounds[0]}
+        has |= {name: slots[name] for name in ("has", "same_place", "also", "nor", "there")}
+        said = {
+            "same_place": self._any(slots["same_place"]),
+            "both": self._terminal(w.both),
+            "directions": " | ".join(f"direction_{rule_of(name)}" for name in w.directions),
+            "lying": "[_lying] " if w.lying else "",
+            "compared": "_THE superlative _noun" if w.superlative_first else "_THE _noun superlative",
+            "one_anchor": " | ".join(rule_of(name) for name in w.predicates if anchors_of(name) == 1),
+            "bearings": " | ".join(rule_of(name) for name in w.bearings),
+            "bearing_stops": " | ".join(f"{rule_of(name)}_stop" for name in w.bearing_stops),
+            "superlatives": " | ".join(rule_of(name) for name in w.superlatives),
+            **{slot: self._either(slot) for slot in ("exists", "absent", "is")},
+            **{word: " | ".join(self._answering(word)) for word in ("yes", "no")},
+        }
+        text = files("condvln.instructions").joinpath("grammar", "rules.lark").read_text(encoding="utf-8")
+        found = []
+        for line in text.splitlines():
+            kind, name, rule = _LINE.fullmatch(line).groups()  # type: ignore[union-attr]  # it matches any line
+            if not line.startswith("//") and (not kind or bool(has[name]) == (kind == "?")):
+                found.append(rule.format_map(said))
+        return found
 
     def _answers(self) -> list[str]:
         """Return the grammar rules of the answers "yes" and "no". Answers that fit every kind of question have a rule
@@ -157,7 +127,7 @@ class _GrammarWriter:
         phrases for use after a denial.
         """
         slots = self.words.slots
-        return f"(_{slot} | _{slot}_again)" if set(slots[f"{slot}_again"]) - set(slots[slot]) else f"_{slot}"
+        return f"(_{slot} | _{slot}_again)" if set(slots.get(f"{slot}_again", ())) - set(slots[slot]) else f"_{slot}"
 
     def _parts(self, pieces: Sequence[str | Slot]) -> Iterator[str]:
         """Yield the grammar of each piece of a template. The comma before "but no lamp" is left out by the renderer."""
@@ -170,7 +140,7 @@ class _GrammarWriter:
         if isinstance(piece, Slot):
             if piece.bare:
                 return "bare_moves"
-            return _RULES.get(piece.form, piece.form)
+            return "moves" if piece.form == "leaf" else piece.form
         return " ".join(PUNCTUATION.get(token) or self._terminal(token) for token in _TOKEN.findall(piece.lower()))
 
     def _any(self, texts: Iterable[str]) -> str:

@@ -17,7 +17,8 @@ from importlib.resources import files
 from itertools import accumulate, pairwise
 from typing import Any, Final, Literal
 
-from condvln.formats.packaged_yaml import packaged_yaml
+import yaml
+
 from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
 from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
@@ -25,6 +26,7 @@ from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category
 __all__ = [
     "LANGUAGES",
     "LEAF_LETTERS",
+    "LONGEST_SENTENCE",
     "SLOTS",
     "Form",
     "Language",
@@ -34,6 +36,7 @@ __all__ = [
     "Template",
     "Voice",
     "language",
+    "sentences",
 ]
 
 LANGUAGES: Final = ("en", "es")
@@ -44,7 +47,7 @@ LEAF_LETTERS: Final = "xyzw"
 
 SLOTS: Final = (
     "exists", "absent", "exists_again", "absent_again", "neither_a", "nor_a",
-    "is_there", "is", "is_not", "is_again", "asks_is",
+    "is_there", "is", "is_not", "asks_is",
     "see", "check", "for", "look", "look_at", "it_is", "it_is_not", "yes_one", "no_one", "yes_it", "no_it",
     "has", "has_no", "to",
     "also", "nor", "also_a", "there_also", "same_place",
@@ -53,30 +56,27 @@ SLOTS: Final = (
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
 
-Form = Literal[
-    "asserted", "denied", "joined", "not_joined", "neither", "question", "see", "yes", "no", "lacks", "again",
-    "not_again", "leaf"
-]  # fmt: skip
+Form = Literal["asserted", "denied", "joined", "not_joined", "neither", "question", "see", "yes", "no", "leaf"]
 
 _WORDS_OF: Final[Mapping[Form, int]] = {
     "asserted": 8, "denied": 8, "joined": 7, "not_joined": 7, "neither": 6, "question": 8, "see": 9, "yes": 2,
-    "no": 2, "lacks": 3, "again": 4, "not_again": 4, "leaf": 0,
+    "no": 2, "leaf": 0,
 }  # fmt: skip
 """Approximate number of words of a slot's phrase."""
 
-_ANSWER_WORDS: Final[Mapping[Form, int]] = {"yes": 3, "no": 3, "lacks": 3, "neither": 6}
+_ANSWER_WORDS: Final[Mapping[Form, int]] = {"yes": 3, "no": 3, "neither": 6}
 """Approximate number of words of the answers, whatever was asked."""
 _ASKING: Final = frozenset({"asserted", "denied", "joined", "not_joined", "question", "see"})
 """Forms that state a condition in full, so that a text may begin with them."""
-_STATING: Final = frozenset({"asserted", "denied", "joined", "not_joined", "again", "not_again"})
+_STATING: Final = frozenset({"asserted", "denied", "joined", "not_joined"})
 """Forms that state a condition in a clause of its own."""
 MOST_STATED: Final = 2
 """How often a text states a condition that is named with its relation each time."""
 
 _SLOT: Final = re.compile(r"\{([^}]*)\}")
 _FORMS: Final[Mapping[str, Form]] = {
-    "see ": "see", "yes ": "yes", "no ": "no", "lacks ": "lacks",
-    "again ": "again", "-again ": "not_again", "+-": "not_joined", "+": "joined", "-": "denied", "": "asserted",
+    "see ": "see", "yes ": "yes", "no ": "no",
+    "+-": "not_joined", "+": "joined", "-": "denied", "": "asserted",
 }  # fmt: skip
 
 
@@ -328,7 +328,7 @@ def language(code: str = "en") -> Language:
 
 def _document(code: str) -> Mapping[str, Any]:
     text = files("condvln.instructions").joinpath("grammar", f"{code}.yaml").read_text(encoding="utf-8")
-    document: Mapping[str, Any] = packaged_yaml(text)
+    document: Mapping[str, Any] = yaml.load(text, Loader=yaml.CSafeLoader)
     return document
 
 
@@ -409,7 +409,7 @@ def _template(
         piece.index: after.form
         for piece, after in zip(pieces, pieces[2:], strict=False)
         if isinstance(piece, Slot) and isinstance(after, Slot) and piece.form == "see"
-        if after.index == piece.index and after.form in ("yes", "no", "lacks")
+        if after.index == piece.index and after.form in ("yes", "no")
     }
     stated = Counter(slot.index for slot in slots if slot.form in _STATING)
     paired = frozenset(k for slot in slots if slot.form == "neither" for k in (slot.index, slot.other))
@@ -459,3 +459,35 @@ def _slot(text: str) -> Slot:
         if text.startswith(prefix) and text[len(prefix) :] in CONDITION_LETTERS:
             return Slot(form, CONDITION_LETTERS.index(text[len(prefix) :]))
     raise AssertionError(f"unknown slot {{{text}}} in a template")
+
+
+LONGEST_SENTENCE: Final = 25
+"""Number of words above which a sentence is split at its colon or semicolon."""
+
+
+def sentences(words: Language, text: str) -> str:
+    """Return `text` with words contracted where the language does so, long sentences split, and each sentence
+    capitalised.
+    """
+    text = words.contracted(text)
+    if ";" in text or ":" in text:
+        text = ". ".join(_split(sentence) for sentence in text.split(". "))
+    for mark in (". ", "? "):
+        text = mark.join([_capital(part) for part in text.split(mark)])
+    return text
+
+
+def _split(sentence: str) -> str:
+    """Return a long sentence split at its colon, then at its semicolons. A numbered list is not split."""
+    if sentence.count(" ") >= LONGEST_SENTENCE and "(" not in sentence:
+        first, _, rest = sentence.partition(": ")
+        sentence = f"{first}. {rest}" if rest else sentence
+        if max(part.count(" ") for part in sentence.split(". ")) >= LONGEST_SENTENCE:
+            sentence = sentence.replace("; ", ". ")
+    return sentence
+
+
+def _capital(sentence: str) -> str:
+    """Return a sentence with its first letter capitalised, also after Spanish's opening mark."""
+    at = 1 if sentence.startswith("¿") else 0
+    return sentence[:at] + sentence[at : at + 1].upper() + sentence[at + 1 :]

@@ -13,8 +13,7 @@ from lark.exceptions import LarkError, UnexpectedInput
 from condvln.instructions.grammar_source import ANSWERS, grammar_source, rule_of
 from condvln.instructions.language import Language, Slot, Template, language
 from condvln.instructions.predicates import PREDICATES
-from condvln.instructions.reach import Mention, within_reach
-from condvln.instructions.text_reading import Phrase, Place, Reading
+from condvln.instructions.text_reading import Mention, Phrase, Place, Reading, within_reach
 from schemas.errors import FormatError
 from schemas.program import BEARINGS, SHAPES, Category, Predicate
 
@@ -135,7 +134,7 @@ class _TreeReader:
                 if phrase.qualifier is None and not phrase.definite:
                     phrase = replace(phrase, qualifier=before.qualifier)
                 phrase = replace(phrase, room=before.room)
-                self.last_room = self.last_room if slot.form == "lacks" else None
+                self.last_room = None
             elif before is None and phrase.room is None and phrase.definite:
                 phrase = replace(phrase, room=self.asked_room)
             if conditions.setdefault(slot.index, phrase) != phrase:

@@ -14,7 +14,7 @@ import hashlib
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import chain, islice, repeat
+from itertools import islice, repeat
 from typing import Any, Final
 
 import numpy as np
@@ -22,23 +22,28 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from condvln.instructions.absence import presence_asked
+from condvln.instructions.balance import (
+    ByConditions,
+    LabelForm,
+    SceneRows,
+    family_log_factors,
+    label_weights,
+    staging_factors,
+)
 from condvln.instructions.expected_draws import FACTOR_STEPS
-from condvln.instructions.informative import LabelForm, label_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.predicates import PREDICATE_GROUPS, sayable
 from condvln.instructions.referents import Referents
-from condvln.instructions.staged_presence import StagedPresence
-from condvln.instructions.stagings import ByConditions, even_factors
-from condvln.instructions.statement_counts import StatementCounts
-from condvln.instructions.statement_rows import STATEMENT, Statement, table_of
+from condvln.instructions.statement_counts import STATEMENT, StagedPresence, Statement, StatementCounts, table_of
 from condvln.instructions.statements import statement_truths
-from condvln.instructions.tilts import SceneRows, tilts
 from condvln.labels import vocabulary
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
-from condvln.scene.layouts import layout_of
+from condvln.scene.scene import layout_of
+from condvln.scene.tables import room_of
 from schemas.canonical import JSON
-from schemas.config import PredicateWeights, SamplingConfig, Thresholds
+from schemas.config import PlacesConfig, PredicateWeights, SamplingConfig, Thresholds
 from schemas.config.constants import EVIDENCE, RATE_STEPS, STAGINGS
 from schemas.program import asked_in
 
@@ -46,21 +51,15 @@ __all__ = ["PRIORS", "LabelPriors", "PriorBits", "Statement"]
 
 PRIORS: Final = pa.schema(
     [
-        pa.field("layout", pa.string(), nullable=False),
-        pa.field("staging", pa.string(), nullable=False),
-        pa.field("room_type", pa.string(), nullable=False),
-        pa.field("label", pa.string(), nullable=False),
-        pa.field("predicate", pa.string(), nullable=False),
-        pa.field("anchor", pa.string(), nullable=False),
+        *(pa.field(name, pa.string(), nullable=False) for name in ("layout", "staging", *STATEMENT[:-1])),
         pa.field("definite", pa.bool_(), nullable=False),
-        pa.field("n_true", pa.int64(), nullable=False),
-        pa.field("n_false", pa.int64(), nullable=False),
-        pa.field("tilt", pa.int64(), nullable=False),
+        *(pa.field(name, pa.int64(), nullable=False) for name in ("n_true", "n_false", "tilt")),
     ]
 )
 """The number of rooms of a type in which a statement is usable as true and as false, by layout and, in a layout, by
 scene id (both empty for scenes that are not variants of a layout). `tilt` is 0 but in rows without counts: in those,
-`staging` is a family, and `tilt` says by how much weights of the statement are changed in its scenes (see ``tilts``).
+`staging` is a family, and `tilt` is the binary logarithm of the statement's factor in its scenes, in steps (see
+``fitted_weights``).
 
 A row with an empty label counts the rooms of a type. A row with an empty predicate is the presence of a label, counted
 as false in rooms where absence can be claimed: another room of the same scene has the label, and no word for it fits
@@ -69,6 +68,7 @@ might be called have a row without counts: see ``StagedPresence``.
 """
 
 DEFAULT_WEIGHTS: Final = PredicateWeights()
+DEFAULT_PLACES: Final = PlacesConfig()
 
 LAYOUTS_KEPT: Final = 8
 """Number of layouts whose factors are kept for the next scene of the layout."""
@@ -85,7 +85,7 @@ class PriorBits:
     """The part of the priors that one scene reads. It covers the scene's room types and labels; if the scene is a
     single room, it covers all labels.
 
-    plausible : by room type, labels found in enough rooms of that type
+    plausible : by room type, labels found in enough rooms of that type, of which an agent can see that there is none
     varies : the plausible labels that are also absent from enough rooms of the type, so that their presence is
         informative
     counts : by statement, the number of rooms in which it is true and of those in which it is false; if the scene's
@@ -94,11 +94,9 @@ class PriorBits:
         different types of rooms only
     staged : room types for which only rooms of the scene's layout are counted
     label_weights : by room type, label, predicate and definiteness, factors for the weights of false and true
-        statements (``informative.label_weights``); of room types that are not `staged`
+        statements (``balance.label_weights``); of room types that are not `staged`
     even : by statement, the factor by which the weight of a true one is multiplied and that of a false one divided, in
-        programs of one condition and of several; by ``stagings.even_factors`` for a room type that is `staged`, else by
-        ``tilts``
-    rates : the hash of all rates, see `document`; empty where it is not known yet
+        programs of one condition and of several; see ``fitted_weights``
     """
 
     plausible: Mapping[str, frozenset[str]]
@@ -107,7 +105,6 @@ class PriorBits:
     staged: frozenset[str] = frozenset()
     label_weights: Mapping[LabelForm, tuple[float, float]] = field(default_factory=dict)
     even: Mapping[Statement, ByConditions] = field(default_factory=dict)
-    rates: str = field(default="", compare=False)
 
     def evidence(self, room_type: str) -> int:
         """Return the minimum number of rooms of type `room_type` in which a statement must be counted before its counts
@@ -122,43 +119,17 @@ class PriorBits:
         return {
             "plausible": {room_type: sorted(labels) for room_type, labels in sorted(self.plausible.items())},
             "varies": {room_type: sorted(labels) for room_type, labels in sorted(self.varies.items())},
-            "rates": self.rates or self._rates(),
+            "rates": self._rates(),
             **({"staged": sorted(self.staged)} if self.staged else {}),
         }
 
     def _rates(self) -> str:
-        counts, weights = sorted(self.counts.items()), sorted(self.label_weights.items())
-        seen = np.fromiter(chain.from_iterable(both for _, both in counts), np.float64).reshape(-1, 2)
-        steps = np.rint(RATE_STEPS * (seen[:, 0] / seen.sum(axis=1))).astype(np.int64).tolist()
-        rates: list[tuple[object, ...]] = [(*key, step) for (key, _), step in zip(counts, steps, strict=True)]
-        rates += _weight_rows(weights)
-        rates += _even_rows(self.even)
+        rates: list[tuple[object, ...]] = [
+            (*key, round(RATE_STEPS * true / (true + false))) for key, (true, false) in sorted(self.counts.items())
+        ]
+        rates += [(*form, *(round(RATE_STEPS * x) for x in both)) for form, both in sorted(self.label_weights.items())]
+        rates += [(*key, *both) for key, both in sorted(self.even.items())]
         return hashlib.sha256(orjson.dumps(rates)).hexdigest()
-
-
-def _weight_rows(weights: Sequence[tuple[LabelForm, tuple[float, float]]]) -> list[tuple[object, ...]]:
-    """Return the rows of the weights of labels in the JSON of rates."""
-    factors = np.array([both for _, both in weights], dtype=np.float64).reshape(-1, 2)
-    steps = np.rint(RATE_STEPS * factors).astype(np.int64).tolist()
-    return [(*form, *both) for (form, _), both in zip(weights, steps, strict=True)]
-
-
-def _even_rows(even: Mapping[Statement, ByConditions]) -> list[tuple[object, ...]]:
-    """Return the rows of the factors of statements in the JSON of rates."""
-    return [(*key, *both) for key, both in sorted(even.items())]
-
-
-def _items(rows: Sequence[tuple[object, ...]]) -> str:
-    """Return rows as items of a JSON array."""
-    return orjson.dumps(rows)[1:-1].decode()
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Forms:
-    """The weights of a label's forms in rooms of a type, and the same as items of a JSON array."""
-
-    factors: Mapping[LabelForm, tuple[float, float]]
-    items: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +175,11 @@ class LabelPriors:
 
     @classmethod
     def of_corpus(
-        cls, scenes: Iterable[tuple[str, LabelPriors]], sampling: SamplingConfig, directions: str = "compass"
+        cls,
+        scenes: Iterable[tuple[str, LabelPriors]],
+        sampling: SamplingConfig,
+        directions: str = "compass",
+        places: PlacesConfig = DEFAULT_PLACES,
     ) -> LabelPriors:
         """Return the sum of the counts of all scenes of a run, and how much weights of statements are changed so that
         each is drawn about as often true as false over all scenes of a family.
@@ -222,8 +197,11 @@ class LabelPriors:
 
         summed = cls.merged(noted())
         counted = summed._statements.all()
-        factors = {form: both for forms in summed._weights.values() for form, both in forms.factors.items()}
-        found = [_tilted(name, tilts(rows, counted, factors, sampling)) for name, rows in sorted(read.items())]
+        factors = {form: both for forms in summed._weights.values() for form, both in forms.items()}
+        found = [
+            _factor_rows(name, family_log_factors(rows, counted, factors, sampling, places))
+            for name, rows in sorted(read.items())
+        ]
         return cls.merged([summed, cls(tuple(found))])
 
     @cached_property
@@ -250,6 +228,7 @@ class LabelPriors:
         predicates: PredicateWeights = DEFAULT_WEIGHTS,
         directions: str = "compass",
         presence_share: float | None = None,
+        places: PlacesConfig = DEFAULT_PLACES,
     ) -> PriorBits:
         """Return the part of the priors that `scene` reads.
 
@@ -260,6 +239,7 @@ class LabelPriors:
         predicates, directions, presence_share : the weights of the predicates with which conditions are drawn, the
             directions that texts may use, and the share of conditions of presence in this scene (by default that of
             the configuration's defaults); all matter only for stagings of a layout
+        places : what an agent sees, and so of which labels it can see that there is none
         """
         if presence_share is None:
             presence_share = SamplingConfig().label_only(scene.single_room)
@@ -274,7 +254,9 @@ class LabelPriors:
         own = stagings_of.counts(own_rows) if stagings_of else {}
         rooms = {t: found.pop((t, "", "", "", False), (0, 0))[0] for t in types}
         presence = {(t, x): n for (t, x, *_), (n, _) in found.items()}
-        plausible = {key for key, n in presence.items() if n >= plausible_share * rooms[key[0]]}
+        plausible = {
+            (t, x) for (t, x), n in presence.items() if n >= plausible_share * rooms[t] and presence_asked(t, x, places)
+        }
         varies = {key for key in plausible if rooms[key[0]] - presence[key] >= plausible_share * rooms[key[0]]}
         stagings = {t: own.pop((t, "", "", "", False), (0, 0))[0] for t in types}
         staged = frozenset(t for t in types if stagings[t] >= STAGINGS)
@@ -295,41 +277,30 @@ class LabelPriors:
                     both = known.get((t, x)) or ((stagings[t], 0) if there else (0, stagings[t]))
                 counts[t, x, "", "", False] = both
         weights = self._label_weights(seen, set(types) - staged)
-        tilted = self._tilts.get(scene.family, {})
+        of_family = self._family_factors.get(scene.family, {})
         # Of a single room that is no staging, presence is not fitted: what is absent is absent from the whole scene.
         fitted = [key for key in counts if key[2] or not scene.single_room]
-        even = {key: tilted[key] for key in fitted if key in tilted and key[0] not in staged}
-        even |= self._even(scene, counts, staged, varies, predicates, directions, presence_share) if staged else {}
-        rates = ""
-        if not scene.single_room:
-            parts = [
-                stagings_of.rates(own_rows, t, RATE_STEPS)
-                if stagings_of and t in staged
-                else everywhere.rates(rows, t, RATE_STEPS)
-                for t in types
-            ]
-            parts += [forms.items for forms in weights]
-            parts.append(_items(_even_rows(even)))
-            rates = hashlib.sha256(f"[{','.join(filter(None, parts))}]".encode()).hexdigest()
+        even = {key: of_family[key] for key in fitted if key in of_family and key[0] not in staged}
+        if staged:
+            even |= self._even(scene, counts, staged, varies, predicates, directions, presence_share, places)
         return PriorBits(
             plausible={t: frozenset(x for of, x in plausible if of == t) for t in types},
             varies={t: frozenset(x for of, x in varies if of == t) for t in types},
             counts=counts,
             staged=staged,
-            label_weights={form: both for forms in weights for form, both in forms.factors.items()},
+            label_weights=weights,
             even=even,
-            rates=rates,
         )
 
-    def _label_weights(self, labels: Sequence[str], types: Collection[str]) -> list[_Forms]:
+    def _label_weights(self, labels: Sequence[str], types: Collection[str]) -> dict[LabelForm, tuple[float, float]]:
         """Return the weights of a scene's labels; see `PriorBits`. They come from counts of statements with any anchor,
         even anchors that the scene lacks.
         """
-        found = self._weights
-        return [found[t, x] for t in sorted(types) for x in labels if (t, x) in found]
+        found = (self._weights.get((t, x), {}) for t in sorted(types) for x in labels)
+        return {form: both for forms in found for form, both in forms.items()}
 
     @cached_property
-    def _tilts(self) -> dict[str, dict[Statement, ByConditions]]:
+    def _family_factors(self) -> dict[str, dict[Statement, ByConditions]]:
         """The factors of statements by family."""
         found: dict[str, dict[Statement, ByConditions]] = {}
         rows = self._counts.filter(pc.not_equal(self._counts["tilt"], 0))
@@ -344,12 +315,12 @@ class LabelPriors:
         return StatementCounts(self._counts)
 
     @cached_property
-    def _weights(self) -> dict[tuple[str, str], _Forms]:
+    def _weights(self) -> dict[tuple[str, str], dict[LabelForm, tuple[float, float]]]:
         """The weights of all labels, by room type and label."""
-        grouped: dict[tuple[str, str], dict[LabelForm, tuple[float, float]]] = {}
+        found: dict[tuple[str, str], dict[LabelForm, tuple[float, float]]] = {}
         for form, both in label_weights(self._counts.filter(pc.not_equal(self._counts["predicate"], ""))).items():
-            grouped.setdefault(form[:2], {})[form] = both
-        return {key: _Forms(forms, _items(_weight_rows(sorted(forms.items())))) for key, forms in grouped.items()}
+            found.setdefault(form[:2], {})[form] = both
+        return found
 
     def _even(
         self,
@@ -360,6 +331,7 @@ class LabelPriors:
         predicates: PredicateWeights,
         directions: str,
         presence_share: float,
+        places: PlacesConfig,
     ) -> dict[Statement, ByConditions]:
         """Return the factors of `statements`; see `PriorBits`. They come from all statements about all stagings of the
         scene's layout.
@@ -369,7 +341,8 @@ class LabelPriors:
         asked = ("", *sorted(asked_in(scene.family) & sayable(directions)))
         weights = tuple((group, getattr(predicates, group)) for group in PREDICATE_GROUPS)
         alone = frozenset(varies) if scene.single_room else None
-        found = _factors(self, layout_of(scene.scene_id), tuple(sorted(staged)), asked, weights, presence_share, alone)
+        layout, types = layout_of(scene.scene_id), tuple(sorted(staged))
+        found = _factors(self, layout, types, asked, weights, presence_share, alone, places)
         return {key: factors for key, factors in found.items() if key in statements}
 
     def about(self, layout: str, room_types: Sequence[str], predicates: Sequence[str]) -> pa.Table:
@@ -403,6 +376,7 @@ def _factors(
     weights: tuple[tuple[str, float], ...],
     presence_share: float,
     varies: frozenset[tuple[str, str]] | None,
+    places: PlacesConfig,
 ) -> Mapping[Statement, ByConditions]:
     """Return the factors of all statements about the stagings of a layout: equal for all its scenes of a single room,
     and for all others, since what one scene holds does not enter.
@@ -410,10 +384,15 @@ def _factors(
     varies : if the layout is a single room, the labels whose presence may be asked
     """
     rows = priors.about(layout, staged, asked)
+    relations = rows.filter(pc.not_equal(rows["predicate"], ""))
     if varies is not None:
-        relations = rows.filter(pc.not_equal(rows["predicate"], ""))
-        rows = pa.concat_tables([relations, _presence(priors, layout, staged, varies).rows]).combine_chunks()
-    return even_factors(rows, dict(weights), presence_share)
+        presence = _presence(priors, layout, staged, varies).rows
+    else:
+        presence = rows.filter(pc.equal(rows["predicate"], ""))
+        said = zip(presence["room_type"].to_pylist(), presence["label"].to_pylist(), strict=True)
+        presence = presence.filter(pa.array([presence_asked(*one, places) for one in said], pa.bool_()))
+    rows = pa.concat_tables([relations, presence]).combine_chunks()
+    return staging_factors(rows, dict(weights), presence_share)
 
 
 @lru_cache(maxsize=LAYOUTS_KEPT)
@@ -439,9 +418,9 @@ def _summed(parts: Sequence[pa.Table]) -> pa.Table:
     return sums.sort_by([(key, "ascending") for key in _KEYS]).cast(PRIORS)
 
 
-def _tilted(family: str, found: Mapping[Statement, int]) -> pa.Table:
-    """Return the tilts of a family's statements as rows."""
-    return table_of([("", family, *statement, 0, 0, tilt) for statement, tilt in found.items()], PRIORS)
+def _factor_rows(family: str, found: Mapping[Statement, int]) -> pa.Table:
+    """Return the binary logarithms of the factors of a family's statements as rows."""
+    return table_of([("", family, *statement, 0, 0, steps) for statement, steps in found.items()], PRIORS)
 
 
 def _of_rooms(
@@ -531,45 +510,19 @@ def _boxes(rooms: pa.Table, objects: pa.Table) -> Iterator[tuple[str, list[tuple
     `objects`.
     """
     held: dict[tuple[str, str], list[SceneObject]] = {}
-    wanted = [
-        "scene_id",
-        "room_id",
-        "object_id",
-        "raw_label",
-        "label",
-        "center",
-        "aabb_min",
-        "aabb_max",
-        "radius",
-        "hidden",
-    ]
+    names = ("scene_id", "room_id", "object_id", "raw_label", "label", "radius", "hidden")
+    wanted = [*names, "center", "aabb_min", "aabb_max"]
     for row in objects.select(wanted).to_pylist():
         low, high = row["aabb_min"], row["aabb_max"]
         item = SceneObject(
-            object_id=row["object_id"],
-            room_id=row["room_id"],
-            raw_label=row["raw_label"],
-            label=row["label"],
+            **{name: row[name] for name in names[1:]},
             center=_point(row["center"]),
             aabb=None if low is None or high is None else np.array([_point(low), _point(high)]),
-            radius=row["radius"],
-            hidden=row["hidden"],
         )
         held.setdefault((row["scene_id"], row["room_id"]), []).append(item)
     scenes: dict[str, list[tuple[Room, RoomArrays]]] = {}
     for row in rooms.to_pylist():
-        room = Room(
-            room_id=row["room_id"],
-            raw_label=row["raw_label"],
-            label=row["label"],
-            level=row["level"],
-            floor_y=row["floor_y"],
-            ceiling_y=row["ceiling_y"],
-            polygon=None,
-            annotation=row["annotation"],
-            complete=row["complete"],
-            asked=row["asked"],
-        )
+        room = room_of(row)
         arrays = RoomArrays.of(room.room_id, held.get((row["scene_id"], row["room_id"]), []), room.floor_y)
         scenes.setdefault(row["scene_id"], []).append((room, arrays))
     yield from scenes.items()

@@ -1,152 +1,52 @@
-"""Properties of a program alone: its ids, its composition class, its gold branch."""
+"""Properties of a program alone: its ids, its composition class, its rows in the ``instructions`` table, its tree as
+text.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from typing import Any, Final, TypeVar, get_args
+from typing import Any
 
-import numpy as np
 import orjson
-from numpy.typing import NDArray
+import pyarrow as pa
 
+from condvln.labels import vocabulary
 from schemas.episode import Composition
-from schemas.program import SHAPES, Branch, Category, Condition, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import Branch, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.tables import INSTRUCTIONS
 
 __all__ = [
-    "COMPOSITIONS",
     "ID_LENGTH",
-    "ProgramParts",
-    "branch_documents",
     "composition",
-    "condition_document",
     "instruction_id",
-    "move_document",
+    "instruction_table",
+    "instructions_with_text",
     "oracle_linear",
-    "program_document",
     "program_key",
-    "side_masks",
+    "program_tree",
+    "programs_from_table",
 ]
 
-T = TypeVar("T")
-
-COMPOSITIONS: Final = get_args(Composition)
-"""The composition classes, by number."""
 
 ID_LENGTH = 20
 """Hexadecimal digits kept of a SHA-256: 80 bits, so that a million instructions collide with probability 4e-13."""
 
 
-def program_document(program: Program) -> dict[str, Any]:
-    """Return a program as plain data, equal to what pydantic makes of it.
-
-    It is written field by field, since pydantic takes several times as long, and there are hundreds in a scene.
-    """
-    return {
-        "category": program.category,
-        "conditions": [condition_document(condition) for condition in program.conditions],
-        "branches": branch_documents(program.branches),
-        "leaves": [{"moves": [move_document(move) for move in leaf.moves]} for leaf in program.leaves],
-    }
-
-
-_BRANCH: Final = tuple(Branch.model_fields)
-
-
-def condition_document(condition: Condition) -> dict[str, Any]:
-    """Return a condition as plain data; see `program_document`."""
-    return {
-        "label": condition.label,
-        "room": _room(condition.room),
-        "qualifier": _qualifier(condition.qualifier),
-        "definite": condition.definite,
-        "truth": condition.truth,
-        "witnesses": condition.witnesses,
-    }
-
-
-def move_document(move: ObjectRef) -> dict[str, Any]:
-    """Return a stop as plain data; see `program_document`."""
-    return {
-        "object_id": move.object_id,
-        "label": move.label,
-        "room": _room(move.room),
-        "qualifier": _qualifier(move.qualifier),
-    }
-
-
-def _room(room: RoomRef) -> dict[str, Any]:
-    return {
-        "room_id": room.room_id,
-        "label": room.label,
-        "anchor_id": room.anchor_id,
-        "anchor_label": room.anchor_label,
-    }
-
-
-def _qualifier(qualifier: Qualifier | None) -> dict[str, Any] | None:
-    if qualifier is None:
-        return None
-    anchors = [{"object_id": anchor.object_id, "label": anchor.label} for anchor in qualifier.anchors]
-    return {"predicate": qualifier.predicate, "anchors": anchors}
-
-
-class ProgramParts:
-    """The canonical JSON of the parts of programs. A sampler makes each condition and each name of a stop once, and
-    hundreds of programs share them. Parts are kept, so that the identity of each stays its own.
-    """
-
-    def __init__(self) -> None:
-        self._known: dict[int, tuple[object, bytes]] = {}
-
-    def text(self, part: T, document: Callable[[T], Any]) -> bytes:
-        """Return the JSON of what `document` makes of a part."""
-        found = self._known.get(id(part))
-        if found is None:
-            found = self._known[id(part)] = (part, orjson.dumps(document(part), option=orjson.OPT_SORT_KEYS))
-        return found[1]
-
-    def texts(self, parts: Sequence[T], document: Callable[[T], Any]) -> list[bytes]:
-        """Return `text` of each part."""
-        known = self._known
-        try:
-            return [known[id(part)][1] for part in parts]
-        except KeyError:
-            return [self.text(part, document) for part in parts]
-
-
-def program_key(program: Program, parts: ProgramParts | None = None) -> str:
+def program_key(program: Program) -> str:
     """Return the SHA-256 of the program's canonical JSON, truths and witnesses included: equal keys mean equal
-    programs.
-
-    Whether a condition is definite follows from the scene, and is left out. `parts` has the parts of other programs.
+    programs. Whether a condition is definite follows from the scene, and is left out.
     """
-    known = ProgramParts() if parts is None else parts
-    leaves = [b'{"moves":[%b]}' % b",".join(known.texts(leaf.moves, move_document)) for leaf in program.leaves]
-    whole = b'{"branches":%b,"category":%b,"conditions":[%b],"leaves":[%b]}' % (
-        known.text(program.branches, branch_documents),
-        orjson.dumps(program.category),
-        b",".join(known.texts(program.conditions, _told)),
-        b",".join(leaves),
-    )
-    return hashlib.sha256(whole).hexdigest()
+    document = program.model_dump()
+    for condition in document["conditions"]:
+        del condition["definite"]
+    return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
 
-def branch_documents(branches: tuple[Branch, ...]) -> list[dict[str, Any]]:
-    """Return branches as plain data; see `program_document`."""
-    return [{name: getattr(branch, name) for name in _BRANCH} for branch in branches]
-
-
-def _told(condition: Condition) -> dict[str, Any]:
-    document = condition_document(condition)
-    del document["definite"]
-    return document
-
-
-def instruction_id(family: str, scene_id: str, program: Program, parts: ProgramParts | None = None) -> str:
+def instruction_id(family: str, scene_id: str, program: Program) -> str:
     """Return the id of one program in one scene."""
-    key = f"{family}\x1f{scene_id}\x1f{program_key(program, parts)}"
+    key = f"{family}\x1f{scene_id}\x1f{program_key(program)}"
     return hashlib.sha256(key.encode()).hexdigest()[:ID_LENGTH]
 
 
@@ -187,17 +87,114 @@ def _sides(branches: tuple[Branch, ...]) -> tuple[tuple[int, tuple[int, ...], tu
     return tuple((one.condition, then, otherwise) for one, (then, otherwise) in zip(branches, below, strict=True))
 
 
-@cache
-def side_masks(category: Category) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the condition of each of the b branches of a category, (b,), and a mask (b, 2, leaves) of the leaves below
-    THEN and below ELSE.
-    """
-    shape = SHAPES[category]
-    sides = _sides(shape.branches)
-    below = [[[leaf in side for leaf in range(shape.leaves)] for side in two] for _, *two in sides]
-    return np.array([condition for condition, *_ in sides]), np.array(below)
-
-
 def oracle_linear(program: Program) -> tuple[ObjectRef, ...]:
     """Return the moves of the gold leaf only: its waypoints in order, then its goal."""
     return program.leaves[program.gold_leaf()].moves
+
+
+def instruction_table(
+    scene_id: str,
+    programs: Iterable[tuple[str, Program]],
+) -> pa.Table:
+    """Return `programs`, pairs of instruction id and program, as INSTRUCTIONS rows in the given order, without text and
+    counterfactual group.
+    """
+    given = list(programs)
+    names, found = [name for name, _ in given], [program for _, program in given]
+    golds = [program.gold_leaf() for program in found]
+    documents = [program.model_dump() for program in found]
+    columns: dict[str, Any] = {
+        "scene_id": [scene_id] * len(names),
+        "instruction_id": names,
+        "group_id": [None] * len(names),
+        "category": [program.category for program in found],
+        "depth": [program.depth for program in found],
+        "chain": [program.chain for program in found],
+        "composition": [composition(program) for program in found],
+        "n_conditions": [len(program.conditions) for program in found],
+        "n_relational": [sum([one.kind == "relation" for one in program.conditions]) for program in found],
+        "n_leaves": [len(program.leaves) for program in found],
+        "gold_leaf": golds,
+        "moves": [len(program.leaves[gold].moves) for program, gold in zip(found, golds, strict=True)],
+        "conditions": [one["conditions"] for one in documents],
+        "branches": [one["branches"] for one in documents],
+        "leaves": [one["leaves"] for one in documents],
+        "text": [None] * len(names),
+        "words": [None] * len(names),
+    }
+    arrays = [pa.array(columns[field.name], field.type) for field in INSTRUCTIONS]
+    return pa.Table.from_arrays(arrays, schema=INSTRUCTIONS)
+
+
+def instructions_with_text(table: pa.Table, texts: Mapping[str, str], groups: Mapping[str, str | None]) -> pa.Table:
+    """Return INSTRUCTIONS rows with their text, number of words, and counterfactual group, by instruction id; null if
+    missing.
+    """
+    names = table["instruction_id"].to_pylist()
+    said = [texts.get(name) for name in names]
+    new: dict[str, list[Any]] = {
+        "group_id": [groups.get(name) for name in names],
+        "text": said,
+        "words": [None if text is None else len(text.split()) for text in said],
+    }
+    arrays = [
+        pa.array(new[field.name], field.type) if field.name in new else table[field.name] for field in INSTRUCTIONS
+    ]
+    return pa.table(arrays, schema=INSTRUCTIONS)
+
+
+def programs_from_table(table: pa.Table) -> list[tuple[str, Program]]:
+    """Return (instruction id, program) of each row, in the table's order."""
+    columns = ["instruction_id", "category", "conditions", "branches", "leaves"]
+    return [
+        (row["instruction_id"], Program.model_validate({name: row[name] for name in columns[1:]}))
+        for row in table.select(columns).to_pylist()
+    ]
+
+
+def program_tree(program: Program) -> str:
+    """Return the tree of `program` as text. ✔ and ✘ mark true and false conditions, ★ marks the gold leaf."""
+    return "\n".join(_branch(program, 0, "", program.gold_leaf()))
+
+
+def _branch(program: Program, at: int, indent: str, gold: int) -> Iterator[str]:
+    branch = program.branches[at]
+    yield f"{indent}IF {_condition(program.conditions[branch.condition])}"
+    for word, target in (("THEN", branch.then), ("ELSE", branch.otherwise)):
+        if target >= 0:
+            yield f"{indent}{word}"
+            yield from _branch(program, target, indent + "    ", gold)
+        else:
+            leaf = -1 - target
+            mark = "  ★" if leaf == gold else ""
+            yield f"{indent}{word} [{leaf}] {_leaf(program.leaves[leaf])}{mark}"
+
+
+def _condition(condition: Condition) -> str:
+    found = f" ✔ {', '.join(condition.witnesses)}" if condition.truth else " ✘"
+    return f"{_noun(condition.label)}{_qualified(condition.qualifier)} in {_room(condition.room)}?{found}"
+
+
+def _leaf(leaf: Leaf) -> str:
+    return " → ".join(_object(move) for move in leaf.moves)
+
+
+def _object(item: ObjectRef) -> str:
+    return f"{_noun(item.label)}{_qualified(item.qualifier)} ({item.object_id})"
+
+
+def _qualified(qualifier: Qualifier | None) -> str:
+    if qualifier is None:
+        return ""
+    if not qualifier.anchors:
+        return f", the {qualifier.predicate}"
+    return f" {qualifier.predicate} {' and '.join(map(_noun, qualifier.anchor_labels))}"
+
+
+def _room(room: RoomRef) -> str:
+    anchor = "" if room.anchor_label is None else f" with {_noun(room.anchor_label)}"
+    return f"{vocabulary.room(room.label).noun}{anchor}"
+
+
+def _noun(label: str) -> str:
+    return vocabulary.entry(label).noun

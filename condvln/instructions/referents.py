@@ -21,9 +21,10 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.borders import NO_BORDER, Border
 from condvln.instructions.likeness import (
+    NO_BORDER,
     SCANS,
+    Border,
     called_counters,
     called_otherwise,
     called_side_tables,
@@ -36,10 +37,9 @@ from condvln.instructions.likeness import (
 )
 from condvln.instructions.predicates import OF_THINGS, PREDICATE_GROUPS
 from condvln.labels import Vocabulary
-from condvln.labels.fixtures import fixtures_of, required_in
-from condvln.labels.roles import have_role
+from condvln.labels.lists import fixtures_of, have_role, required_in
 from condvln.scene import Room, RoomArrays, Scene
-from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from schemas.config.constants import LANDMARK_SIZE
 from schemas.program import BEARINGS, SUPERLATIVES, Anchor, ObjectRef, Predicate, Qualifier, RoomRef
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
-from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
-from condvln.instructions.language import Form, Language, Noun, Slot, Template, Voice
-from condvln.instructions.naming import Naming, labels_of
-from condvln.instructions.reach import Mention, within_reach
-from condvln.instructions.sentences import sentences
-from condvln.instructions.template_choice import TemplateChoice
+from condvln.instructions.language import Form, Language, Noun, Slot, Template, Voice, sentences
+from condvln.instructions.template_choice import Naming, TemplateChoice, labels_of
+from condvln.instructions.text_reading import Mention, within_reach
 from condvln.seeding import Draws
 from schemas.program import (
     BEARINGS,
@@ -41,11 +39,48 @@ HAS_SHARE: Final = 0.35
 """Share of texts that say "the kitchen has a lamp", not "there's a lamp in the kitchen"."""
 COMPOUND_SHARE: Final = 0.6
 """Share of texts that say "the kitchen sink", not "the sink in the kitchen"."""
-_NOTHING_NAMED: Final = Naming()
 _JOINED: Final = ("joined", "not_joined")
 """Forms of a condition behind another one, after "and" or "but"."""
 _PREPOSITIONS: Final = {"": "in", "_of": "of", "_anchor": "of_anchor"}
 """Slot of the preposition before a room: of what is there, of what belongs there, behind the anchor of a stop."""
+
+
+@dataclass(slots=True)
+class Heard:
+    """What a listener has heard of a text so far. The next phrase depends on it."""
+
+    room: str | None = None
+    """id of the room that was named last, which "there" means"""
+    room_asked: str | None = None
+    """id of the room of the last question; a definite object in it needs no room"""
+    asked: set[int] = field(default_factory=set)
+    """conditions that were named"""
+    asked_by: Literal["", "exists", "look"] = ""
+    """whether the last question was "there is …" or "look for …", so that "there is" or "you find one" answers it"""
+    looked_at: int | None = None
+    """condition whose object one was told to look at, so that "it's …" answers it"""
+    answer: tuple[str, int] = "", 0
+    """the last short answer, and how many requests came before it"""
+    denied: int | None = None
+    """condition that was denied last: "if so" would agree with the denial"""
+    denied_behind: tuple[int, str] = -1, ""
+    """condition that was denied behind a short answer, and this answer"""
+    requests: int = 0
+    """number of requests such as "see if …" """
+    request: str = ""
+    """how the last request began, "look" or "look_at" """
+    beside: bool = False
+    """whether the condition that is being worded is in the room of the last question"""
+    existential: bool | None = None
+    """whether the last clause said that something is there or that it is not; None if it said neither"""
+    clause_room: str | None = None
+    """id of the room of the last clause"""
+    also: str | None = None
+    """slot of a claim behind another one, such as "there's also …" """
+    gapped: bool = False
+    """whether the last clause left out the words that it shares with the one before"""
+    there: bool = False
+    """whether the last stop said "there" """
 
 
 class Renderer:
@@ -54,58 +89,34 @@ class Renderer:
     short : of phrases with the same meaning, use one with the fewest words
     """
 
-    scope: RoomRef | None = None
-    last_room: str | None = None
-    # What a text begins with stands in the class, so that a renderer is made in half of the time.
-    _room_asked: str | None = None
-    _is_beside = False
-    _answered = "", 0
-    _requests = 0
-    _is_room_first = False
-    _asked_by_exists = _asked_by_look = False
-    _looked_at: int | None = None
-    _denied: int | None = None
-    _denied_behind = -1, ""
-    _types: Sequence[str] = ()
-    _category: Category = "simple"
-    _here = Slot("leaf", 0), 0
-    _bearing: int | None = None
-    _whether: frozenset[int] = frozenset()
-    _answered_next: Mapping[int, Form] = MappingProxyType({})
-    _request_before = ""
-    _compounds = False
-    _there = False
-    _joined_next: Form | None = None
-    _is_gapped = False
-    _existential: bool | None = None
-    _too: str | None = None
-    _has: bool | None = None
-    _clause_room: str | None = None
-
     def __init__(self, words: Language, voice: Voice, draws: Draws, *, short: bool = False) -> None:
         self.words, self.voice, self.draws, self.short = words, voice, draws, short
-        self.naming = _NOTHING_NAMED
+        self.naming = Naming()
+        self.scope: RoomRef | None = None
+        self.heard = Heard()
         self._chosen: dict[str, str] = {}
         self._turns: dict[str, int] = {}
         self._relations: dict[Predicate, str] = {}
-        self._asked: set[int] = set()
+        self._bearing: int | None = None
+        self._has: bool | None = None
         self._introduced: dict[str, Mention] = {}
         self._room_of: dict[str, str] = {}
         self._found: set[str] = set()
+        self._template = Template((), frozenset())
+        self._category: Category = "simple"
+        self._here = Mention(Slot("leaf", 0), 0)
+        self._joined_next: Form | None = None
+        self._compounds = False
 
     def program(self, program: Program) -> str:
         naming = self.naming = Naming.of(program)
-        self._types = [room.label for room in naming.rooms]
         self._category = program.category
         self._compounds = bool(self.words.compounds[0]) and self._chance(COMPOUND_SHARE)
         opening = self._scope(naming.rooms)
         templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
         choice = TemplateChoice(program, naming, self.words, scoped=bool(opening))
-        template = self.draws.choice(templates) if self.short else choice.draw(templates, self.draws)
-        self._whether, self._answered_next = template.whether, template.answered
-        body = self._filled_in(template, program)
-        if self._is_room_first:
-            body = body.replace(" , ", ", ")
+        self._template = self.draws.choice(templates) if self.short else choice.draw(templates, self.draws)
+        body = self._filled_in(self._template, program).replace(" , ", ", ")
         return sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
 
     def _filled_in(self, template: Template, program: Program) -> str:
@@ -117,10 +128,10 @@ class Renderer:
                 continue
             after = ends[k + 2]
             self._joined_next = after.form if isinstance(after, Slot) and after.form in _JOINED else None
-            self._is_gapped = False
-            self._here = piece, template.steps[k]
+            self.heard.gapped = False
+            self._here = Mention(piece, template.steps[k])
             said = self._slot(piece, program)
-            if self._is_gapped:
+            if self.heard.gapped:
                 texts[-1] = texts[-1].removeprefix(",")  # "if there's a lamp but no bed"
             texts.append(said)
         return "".join(texts)
@@ -162,68 +173,59 @@ class Renderer:
 
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
-            leaf, room = program.leaves[slot.index], self.last_room
+            leaf, room = program.leaves[slot.index], self.heard.room
             said = self.moves(leaf.moves, bare=slot.bare)
-            self._answered, self._clause_room = ("", 0), None
+            self.heard.answer, self.heard.clause_room = ("", 0), None
             if any(move.is_bearing or move.room.room_id != room for move in leaf.moves):
                 # "there" would not be understood as a room of another branch, though that one was named last; nor is
                 # the next question about the room of the question before these stops.
-                self.last_room = self._room_asked = None
+                self.heard.room = self.heard.room_asked = None
             return said
         condition = program.conditions[slot.index]
-        form = slot.form
+        form: str = slot.form
         if form == "neither":
-            self._answered, self._room_asked, self.last_room = ("", 0), None, None
+            self.heard.answer, self.heard.room_asked, self.heard.room = ("", 0), None, None
             other = program.conditions[slot.other]
             return f"{self._filled('neither_a', condition)} {self._filled('nor_a', other)}"
-        if form in ("yes", "no", "lacks") and slot.index == self._looked_at:
-            self._looked_at, self._answered = None, ("", 0)
-            self._denied = None if form == "yes" else slot.index
+        if form in ("yes", "no") and slot.index == self.heard.looked_at:
+            self.heard.looked_at, self.heard.answer = None, ("", 0)
+            self.heard.denied = None if form == "yes" else slot.index
             return f"{self._phrase('it_is' if form == 'yes' else 'it_is_not')}{self._relation(condition)}"
-        if form == "lacks":
-            self._denied = slot.index
-            # A long noun is not said twice: "if there isn't one".
-            once = not condition.definite and condition.label in self.naming.asked_once
-            if once and " " not in self._noun(condition).text:
-                self._asked_by_exists, self._asked_by_look = True, False
-                return self._filled("absent", condition)
-            form = "no"
         if form == "yes" and self._is_doubtful(condition, slot.index):
             form = "again"
         restatable = form == "yes" and self._joined_next and not self.short and self.naming.has_article(condition)
         if restatable and self._chance(RESTATE_SHARE):
             # "If there's a lamp and also a bed, …": other words came after the question.
-            said = self._again(condition, "")
-            self._answered, self._too = (said, self._requests), "also_a"
+            said = self._again(condition, asserted=True)
+            self.heard.answer, self.heard.also = (said, self.heard.requests), "also_a"
             return said
         if form in ("yes", "no"):
             answer = self.words.answered(self._answer(form, condition, slot.index), self._noun(condition))
-            if (answer, self._requests - 1) != self._answered:
-                self._answered = answer, self._requests
-                self._existential, self._clause_room = None, None
-                self._too = "there_also" if form == "yes" and not condition.definite else None
+            if (answer, self.heard.requests - 1) != self.heard.answer:
+                self.heard.answer = answer, self.heard.requests
+                self.heard.existential, self.heard.clause_room = None, None
+                self.heard.also = "there_also" if form == "yes" and not condition.definite else None
                 return answer
             # "If it is, see if … If it is, …": the second could be confused with the first.
             form = "again" if form == "yes" else "not_again"
         asserted = form in ("asserted", "joined", "again")
         if form in ("denied", "not_joined", "not_again"):
-            self._denied = slot.index
-            self._denied_behind = (slot.index if self._answered[0] else -1, self._answered[0])
-        again = slot.index in self._asked
-        self._asked.add(slot.index)
-        self._is_beside = not again and self._is_in_room_asked(condition)
+            self.heard.denied = slot.index
+            self.heard.denied_behind = (slot.index if self.heard.answer[0] else -1, self.heard.answer[0])
+        again = slot.index in self.heard.asked
+        self.heard.asked.add(slot.index)
+        self.heard.beside = not again and self._is_in_room_asked(condition)
         joined = form in _JOINED
         # "If there's a bed in the bedroom and a bath in the bathroom, look at the lamp": in which room?
-        is_second_room = joined and self._room_asked != condition.room.room_id
-        self._room_asked = None if is_second_room else condition.room.room_id
+        is_second_room = joined and self.heard.room_asked != condition.room.room_id
+        self.heard.room_asked = None if is_second_room else condition.room.room_id
         if again and not self.naming.is_shared(condition):
             # "But if there's no bowl, …" is enough where one bowl was asked about.
             full = condition.qualifier is not None or condition.label in self.naming.asked_once
             full = full and not (self._elided(condition.room) and condition.label not in self.naming.asked_only)
             if full or form in ("again", "not_again"):
-                self._room_asked = None
-                kind = "_again" if slot.form == "again" else "" if asserted else "_not"
-                return self._again(condition, kind, joined=joined)
+                self.heard.room_asked = None
+                return self._again(condition, asserted=asserted, joined=joined)
         if form == "question":
             return self._question(condition)
         if form == "see":
@@ -234,14 +236,14 @@ class Renderer:
         """Return whether the answer "there is one" or "it is" could mean either of two things that were named together:
         "if there is one but no rug, …; if there is one, …".
         """
-        denied, answer_before = self._denied_behind
+        denied, answer_before = self.heard.denied_behind
         return index == denied and (not condition.definite or answer_before in self.voice.slots["yes_it"])
 
     def _is_in_room_asked(self, condition: Condition) -> bool:
         """Return whether a condition is about a definite object ("the lamp") in the room of the last question. This
         room then need not be named again.
         """
-        beside = condition.definite and self._room_asked == condition.room.room_id
+        beside = condition.definite and self.heard.room_asked == condition.room.room_id
         return beside and not self.naming.is_shared(condition)
 
     def _answer(self, form: str, condition: Condition, index: int) -> str:
@@ -255,15 +257,15 @@ class Renderer:
             return phrases[0]
         if self._joined_next and self.voice.slots["also"]:
             return phrases[0]  # "if there is one but no lamp", not "if there is but no lamp"
-        if not self._asked_by_exists and not condition.definite:
+        if self.heard.asked_by != "exists" and not condition.definite:
             phrases = tuple(phrase for phrase in phrases if phrase not in self.words.elliptic)
         if self.words.found and not condition.definite:
-            sought = self._asked_by_look
+            sought = self.heard.asked_by == "look"
             phrases = tuple(phrase for phrase in phrases if (phrase in self.words.found) == sought) or phrases
-        if self._denied == index:
+        if self.heard.denied == index:
             phrases = tuple(phrase for phrase in phrases if phrase not in self.words.connectives["so"])
         phrases = _shortest(phrases) if self.short else phrases
-        before = self._answered[0]
+        before = self.heard.answer[0]
         if before and len(phrases) > 1:
             phrases = tuple(
                 phrase for phrase in phrases if self.words.answered(phrase, self._noun(condition)) != before
@@ -286,18 +288,18 @@ class Renderer:
 
         joined : whether the clause is behind another one, so that words which both have may be left out
         """
-        gapped = joined and not condition.definite and self._existential in ((True,) if asserted else (True, False))
-        too, self._too = self._too if joined and asserted else None, None
-        beside = joined and self._clause_room == condition.room.room_id and bool(self.voice.slots["same_place"])
+        gapped = joined and self._may_be_gapped(condition, asserted)
+        too, self.heard.also = self.heard.also if joined and asserted else None, None
+        beside = joined and self.heard.clause_room == condition.room.room_id and bool(self.voice.slots["same_place"])
         # "Si en la cocina hay un plato y en el dormitorio hay una cama": the room comes first.
         room_first = self._names_room_first(condition)
         gapped = gapped and (beside or not room_first or self._elided(condition.room))
-        self._existential, self._clause_room = None if condition.definite else asserted, condition.room.room_id
+        self.heard.existential = None if condition.definite else asserted
+        self.heard.clause_room = condition.room.room_id
         if condition.definite:
             verb = self._phrase("is" if asserted else "is_not")
-            if self._is_set_apart(condition.room) and not self._is_beside:
+            if self._is_set_apart(condition.room) and not self.heard.beside:
                 # "The lamp in the bedroom that has the desk is near …" sounds as if the desk were.
-                self._is_room_first = True
                 place = f", {self._phrase('in')} {self._room(condition.room)}, "
                 said = f"{place}{self.words.definite(self._noun(condition))} {verb}{self._relation(condition)}"
                 self._know(condition)
@@ -305,10 +307,10 @@ class Renderer:
             said = f"{self._subject(condition)} {verb}{self._relation(condition)}"
             self._know(condition)
             return said
-        self._asked_by_exists, self._asked_by_look = True, False
+        self.heard.asked_by = "exists"
         self._know(condition)
         if too is None and not gapped and not beside and self._says_has(condition):
-            self._existential, self._asked_by_exists = None, False
+            self.heard.existential, self.heard.asked_by = None, ""
             said = f"{self._room(condition.room)} {self._filled('has' if asserted else 'has_no', condition)}"
             return f"{said}{self._relation(condition)}"
         if too is not None:
@@ -320,6 +322,10 @@ class Renderer:
         if room_first and not self._elided(condition.room):
             return f"{self._phrase('in')} {self._room(condition.room)} {there}{self._relation(condition)}"
         return f"{there}{self._relation(condition)}{self._where(condition.room, named=True)}"
+
+    def _may_be_gapped(self, condition: Condition, asserted: bool) -> bool:
+        """Return whether a claim behind another one may leave out "there's", as in "there's a lamp and a bed"."""
+        return not condition.definite and self.heard.existential in ((True,) if asserted else (True, False))
 
     def _names_room_first(self, condition: Condition) -> bool:
         """Return whether a claim begins with its room, as in "en la cocina hay una lámpara"."""
@@ -343,63 +349,58 @@ class Renderer:
         """Return "there's a lamp", or "a lamp" (`gapped`) behind another clause with "there's"."""
         slot = "also" if asserted else "nor"
         if gapped and self.voice.slots[slot]:
-            self._is_gapped = True
+            self.heard.gapped = True
             return self._filled(slot, condition)
         return self._filled(f"{'exists' if asserted else 'absent'}{kind}", condition)
 
-    def _again(self, condition: Condition, kind: str, *, joined: bool = False) -> str:
+    def _again(self, condition: Condition, *, asserted: bool, joined: bool = False) -> str:
         """Return the words that repeat an earlier condition, without its room. The next stop then does not use "there",
         since other rooms were named in between.
-
-        kind : "" if it holds, "_not" if it doesn't, "_again" if it holds after a leaf for the case that it doesn't
         """
-        self.last_room, self._asked_by_exists, self._asked_by_look = None, True, False
-        asserted = kind != "_not"
-        gapped = joined and not condition.definite and self._existential in ((True,) if asserted else (True, False))
-        self._existential, self._clause_room = None if condition.definite else asserted, None
+        self.heard.room, self.heard.asked_by = None, "exists"
+        gapped = joined and self._may_be_gapped(condition, asserted)
+        self.heard.existential, self.heard.clause_room = None if condition.definite else asserted, None
         if condition.definite:
-            return (
-                f"{self.words.definite(self._noun(condition))} {self._phrase(f'is{kind}')}{self._relation(condition)}"
-            )
+            verb = self._phrase("is" if asserted else "is_not")
+            return f"{self.words.definite(self._noun(condition))} {verb}{self._relation(condition)}"
         relation = "" if condition.label in self.naming.asked_only else self._relation(condition)
-        if not asserted and not relation:
-            kind = "_again"
-        there = self._there_is(condition, asserted=asserted, gapped=gapped, kind="" if kind == "_not" else kind)
+        kind = "" if asserted or relation else "_again"
+        there = self._there_is(condition, asserted=asserted, gapped=gapped, kind=kind)
         return f"{there}{relation}"
 
     def _question(self, condition: Condition) -> str:
         self._know(condition)
         if condition.definite:
             return f"{self._phrase('asks_is')} {self._subject(condition)}{self._relation(condition)}?"
-        self._asked_by_exists, self._asked_by_look = True, False
+        self.heard.asked_by = "exists"
         where = self._where(condition.room, named=True)
         return f"{self._filled('is_there', condition)}{self._relation(condition)}{where}?"
 
     def _see(self, condition: Condition, index: int) -> str:
-        self._requests += 1
+        self.heard.requests += 1
         # Two requests in a row that begin with "look for" or "look at" sound like a machine.
-        before, self._request_before = self._request_before, ""
+        before, self.heard.request = self.heard.request, ""
         if condition.definite:
             # "If it is, look at the plant": not "if it is, see if the plant …", with "it is" again as the answer.
-            again = len(self.voice.slots["yes_it"]) == 1 and self._answered[0] in self.voice.slots["yes_it"]
-            again = again and self._answered_next.get(index) == "yes"
-            sayable = index in self._answered_next and not self._is_set_apart(condition.room)
+            again = len(self.voice.slots["yes_it"]) == 1 and self.heard.answer[0] in self.voice.slots["yes_it"]
+            again = again and self._template.answered.get(index) == "yes"
+            sayable = index in self._template.answered and not self._is_set_apart(condition.room)
             if sayable and (again or (before != "look_at" and self._chance(LOOK_AT_SHARE))):
-                self._looked_at, self._request_before = index, "look_at"
+                self.heard.looked_at, self.heard.request = index, "look_at"
                 subject = self._subject(condition)
                 self._know(condition)
                 return f"{self._phrase('look_at')} {subject}"
             return f"{self._request()} {self._clause(condition, asserted=True)}"
-        if index in self._whether:
+        if index in self._template.whether:
             return f"{self._request()} {self._clause(condition, asserted=True)}"
         plain = condition.qualifier is None and condition.room.anchor_label is None
         plain = plain and not self.words.room_first and not self._elided(condition.room)
         if plain and self._chance(CHECK_SHARE):
-            self._asked_by_exists = self._asked_by_look = False
+            self.heard.asked_by = ""
             return f"{self._phrase('check')} {self._room(condition.room)} {self._filled('for', condition)}"
-        sayable = before != "look" and not (self.words.found and self._answered[0])
+        sayable = before != "look" and not (self.words.found and self.heard.answer[0])
         if sayable and self._chance(LOOK_SHARE):
-            self._asked_by_exists, self._asked_by_look, self._request_before = False, True, "look"
+            self.heard.asked_by = self.heard.request = "look"
             self._know(condition)
             where = self._where(condition.room, named=True)
             return f"{self._filled('look', condition)}{self._relation(condition)}{where}"
@@ -437,14 +438,14 @@ class Renderer:
         room, noun = self.words.rooms[named.room.label], self._noun(named)
         if named.room.anchor_label is not None or f"{room.text} {noun.text}" in self.words.noun_texts:
             return None
-        self.last_room = named.room.room_id
+        self.heard.room = named.room.room_id
         return self.words.compound(noun, room)
 
     def _subject(self, condition: Condition) -> str:
-        compound = None if self._is_beside or self._elided(condition.room) else self._compound(condition)
+        compound = None if self.heard.beside or self._elided(condition.room) else self._compound(condition)
         if compound is not None:
             return compound
-        where = "" if self._is_beside else self._where(condition.room, "_of", named=True)
+        where = "" if self.heard.beside else self._where(condition.room, "_of", named=True)
         return f"{self.words.definite(self._noun(condition))}{where}"
 
     def _relation(self, named: Condition | ObjectRef) -> str:
@@ -477,13 +478,13 @@ class Renderer:
 
     def moves(self, stops: Sequence[ObjectRef], *, bare: bool = False) -> str:
         """Return the stops of one leaf as one imperative; with `bare` without its verb, as in "to the lamp"."""
-        self._there = False
+        self.heard.there = False
         verb = self._phrase("to") if bare else self._in_turn("go", self._usable("go"))
         texts = [f"{verb} {self._stop(stops[0])}"]
         for k, (before, stop) in enumerate(pairwise(stops), start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
             # After a stop with an egocentric direction, or one that is known from before, no room was named.
-            same_room = stop.room.room_id == before.room.room_id == self.last_room and not self.naming.is_shared(stop)
+            same_room = stop.room.room_id == before.room.room_id == self.heard.room and not self.naming.is_shared(stop)
             texts.append(f"{self._phrase(joint)} {self._stop(stop, behind=True, same_room=same_room)}")
         return "".join(texts)
 
@@ -504,7 +505,7 @@ class Renderer:
         relation = self._relation(ref)
         if ref.is_bearing:
             # It is in the room of the start, which is not named; "there" would refer to that room next.
-            self.last_room = None
+            self.heard.room = None
             return f"{noun}{relation}"
         if relation and self.words.lying and ref.qualifier and ref.qualifier.predicate not in self.words.unlinked:
             relation = f" {self.words.lying}{relation}"
@@ -512,12 +513,12 @@ class Renderer:
         if same_room:
             there = " " + self._phrase("there") if self.voice.slots["there"] and not elided and kind == "_of" else ""
             # "the sink there and then to the toilet there" says it twice
-            there, self._there = "" if self._there else there, bool(there)
+            there, self.heard.there = "" if self.heard.there else there, bool(there)
             return f"{noun}{relation}{there}"
         if known:
-            self.last_room = None
+            self.heard.room = None
             return f"{noun}{relation}"
-        if ref.qualifier is None and not elided and ref.room.room_id != self.last_room:
+        if ref.qualifier is None and not elided and ref.room.room_id != self.heard.room:
             noun_and_room = self._compound(ref)
             if noun_and_room is not None:
                 return noun_and_room
@@ -540,8 +541,8 @@ class Renderer:
         """
         if self._elided(room):
             return ""
-        if kind in ("_of", "_anchor") and not named and self.voice.slots["there"] and room.room_id == self.last_room:
-            self._there = True
+        if kind in ("_of", "_anchor") and not named and self.voice.slots["there"] and room.room_id == self.heard.room:
+            self.heard.there = True
             return f" {self._phrase('there')}"
         return f" {self._phrase(_PREPOSITIONS[kind])} {self._room(room)}"
 
@@ -556,18 +557,18 @@ class Renderer:
         named = self._introduced.get(room.room_id)
         return (
             named is not None
-            and self._types.count(room.label) == 1
-            and within_reach(self._category, named, Mention(*self._here))
+            and sum(room.label == other.label for other in self.naming.rooms) == 1
+            and within_reach(self._category, named, self._here)
         )
 
     def _room(self, room: RoomRef) -> str:
-        self.last_room = room.room_id
+        self.heard.room = room.room_id
         noun = self.words.rooms[room.label]
         phrase = self.words.definite(noun)
         if room.anchor_label is None or self._elided(room):
             return phrase
         is_known = self._is_introduced(room)
-        self._introduced[room.room_id] = Mention(*self._here)
+        self._introduced[room.room_id] = self._here
         if is_known:
             return self.words.that(noun)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"

@@ -15,10 +15,9 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import Final
 
-from condvln.instructions.language import Voice, language
+from condvln.instructions.language import Voice, language, sentences
 from condvln.instructions.predicates import COMPASS
 from condvln.instructions.renderer import Renderer
-from condvln.instructions.sentences import sentences
 from condvln.seeding import FewDraws, stable_hash
 from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE

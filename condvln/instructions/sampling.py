@@ -3,66 +3,110 @@ to the gold leaf.
 
 Therefore nothing about a leaf reveals that it is gold, and neither label, anchor, kind nor predicate of a statement
 reveals its truth. Every draw is seeded by (dataset seed, family, scene, category) only.
+
+Counterfactual groups are four programs of one skeleton, with a condition's truth flipped and two leaves exchanged. A
+guesser that ignores the condition gets at most half of the four right, and so does one that always prefers some object.
+All four share one start. Each has the stops of all others, so if one can be placed, all can.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, cached_property, partial
-from itertools import accumulate
-from typing import Final, NamedTuple
+from functools import cached_property
+from typing import Final
 
-import numpy as np
-
-from condvln.instructions.borders import NO_BORDER, borders
-from condvln.instructions.cell_drawing import CellDrawing, DrawnCandidate, Seen
+from condvln.instructions.cell_drawing import CellDrawing, Seen, WantedCell
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
-from condvln.instructions.counterfactuals import Group, counterfactual_group
-from condvln.instructions.degeneracy import is_circular, outcomes
-from condvln.instructions.kernels.candidates import WantedCell
-from condvln.instructions.name_tables import NumberedNames
+from condvln.instructions.degeneracy import GivenUp, degeneracies
+from condvln.instructions.likeness import NO_BORDER, borders
 from condvln.instructions.predicates import sayable
 from condvln.instructions.priors import PriorBits
-from condvln.instructions.programs import COMPOSITIONS, instruction_id, side_masks
+from condvln.instructions.programs import ID_LENGTH, instruction_id, program_key
 from condvln.instructions.referents import Facts, Referents, object_refs, room_refs
-from condvln.instructions.rejection import GivenUp
 from condvln.instructions.rendering import word_count
-from condvln.instructions.stop_sampler import ROOM_SPANS, StopSampler
-from condvln.instructions.stops import Stops, Target, nameable, targets
+from condvln.instructions.stop_sampler import StopSampler
+from condvln.instructions.stops import StopNames, Stops, Target, nameable, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
-from condvln.scene.sightings import EVERYTHING_SEEN, Sightings
+from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from condvln.seeding import Draws, generator
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
 from schemas.episode import Composition
-from schemas.program import CATEGORIES, SHAPES, Category, Leaf, ObjectRef, Program, RoomRef, asked_in
+from schemas.program import CATEGORIES, SHAPES, Category, Condition, ObjectRef, Program, RoomRef, asked_in
 
-__all__ = ["Outline", "ProgramSampler"]
+__all__ = ["Group", "ProgramSampler", "counterfactual_group", "flipped", "group_id", "swapped"]
+
+Group = tuple[Program, Program, Program, Program]
+"""The program; with the condition flipped; with the leaves exchanged; with both."""
+
+
+def counterfactual_group(
+    program: Program, condition_sampler: ConditionSampler, draws: Draws, vocabulary: Vocabulary
+) -> Group | None:
+    """Return the group of `program`; None if no condition on its gold path has a twin.
+
+    The flipped condition is on the gold path, and its flip changes the gold leaf. The last such condition is preferred,
+    since it decides between the fewest leaves. The exchanged leaves are the gold ones before and after the flip.
+    """
+    for index, leaf in _decisive(program):
+        twin = condition_sampler.twin(program, index, draws)
+        if twin is not None:
+            other = flipped(program, index, twin)
+            group = (
+                program,
+                other,
+                swapped(program, program.gold_leaf(), leaf),
+                swapped(other, program.gold_leaf(), leaf),
+            )
+            if not any(degeneracies(member, vocabulary) for member in group):
+                return group
+    return None
+
+
+def _decisive(program: Program) -> Iterator[tuple[int, int]]:
+    """Yield (condition, leaf) for each condition on the gold path whose flip leads to another leaf: the index of the
+    condition, and that other leaf. The last condition comes first.
+    """
+    truths = [condition.truth for condition in program.conditions]
+    for index in reversed(program.route()[0]):
+        turned = [*truths[:index], not truths[index], *truths[index + 1 :]]
+        leaf = program.gold_leaf(turned)
+        if leaf != program.gold_leaf():
+            yield index, leaf
+
+
+def flipped(program: Program, index: int, twin: Condition) -> Program:
+    """Return `program` with condition `index` replaced by `twin`, which has the opposite truth."""
+    conditions = (*program.conditions[:index], twin, *program.conditions[index + 1 :])
+    return Program(category=program.category, conditions=conditions, branches=program.branches, leaves=program.leaves)
+
+
+def swapped(program: Program, one: int, other: int) -> Program:
+    """Return `program` with the leaves at the indices `one` and `other` exchanged."""
+    leaves = list(program.leaves)
+    leaves[one], leaves[other] = leaves[other], leaves[one]
+    return Program(
+        category=program.category,
+        conditions=program.conditions,
+        branches=program.branches,
+        leaves=tuple(leaves),
+    )
+
+
+def group_id(family: str, scene_id: str, group: Group) -> str:
+    """Return the id of a group; all programs of the group share the id."""
+    keys = "\x1f".join(sorted(program_key(program) for program in group))
+    return hashlib.sha256(f"{family}\x1f{scene_id}\x1f{keys}".encode()).hexdigest()[:ID_LENGTH]
+
 
 TRIES_PER_CANDIDATE: Final = 2
 """Number of shapes tried per wanted candidate, so that a scene reaches its number although some shapes are
 impossible.
 """
-
-VAIN_TRIES: Final = 100
-"""Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
-
-
-class Outline(NamedTuple):
-    """What decides whether a program that was drawn is wanted, and a function that returns the program.
-
-    moves : number of moves of each leaf
-    labels : target label of each leaf
-    gold : index of the gold leaf
-    """
-
-    moves: tuple[int, ...]
-    labels: tuple[str, ...]
-    gold: int
-    program: Callable[[], Program]
 
 
 class ProgramSampler:
@@ -118,9 +162,9 @@ class ProgramSampler:
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), words)
-        # Statements about stagings have other weights in programs of one condition.
-        self.condition_sampler, *others = self._condition_samplers(bits, (False, True) if bits.staged else (False,))
-        self._alone = others[0] if others else self.condition_sampler
+        self.condition_sampler = self._alone = self._condition_sampler(bits, alone=False)
+        if bits.staged:  # statements about stagings have other weights in programs of one condition
+            self._alone = self._condition_sampler(bits, alone=True)
         if not isinstance(stops, Stops):
             stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))
         self.stop_sampler = StopSampler(
@@ -130,37 +174,32 @@ class ProgramSampler:
             self.condition_sampler.rooms,
             self.condition_sampler.is_left_by,
         )
-        self._known_compositions: dict[Category, tuple[tuple[Composition, ...], tuple[float, ...]]] = {}
-        self._refs: dict[tuple[str, str | None, str], tuple[ObjectRef, ...]] = {}
-        self._known_names: dict[int, NumberedNames] = {}
+        self.stop_names = StopNames(self._names, self._refs_of, sampling, words)
 
-    def _condition_samplers(self, bits: PriorBits, ways: Sequence[bool]) -> list[ConditionSampler]:
-        """Return samplers of conditions about the rooms that can be named: for programs of one condition where `ways`
-        says so, else for those of several.
+    def _condition_sampler(self, bits: PriorBits, *, alone: bool) -> ConditionSampler:
+        """Return a sampler of conditions about the rooms that can be named, for programs of one condition (`alone`) or
+        of several.
         """
-        pools = {name: self._pools(name, bits, ways) for name in self._names}
-        return [
-            ConditionSampler(
-                {name: (self.referents[name], own[k]) for name, own in pools.items()},
-                self.sampling,
-                self.words,
-                single_room=self.scene.single_room,
-            )
-            for k in range(len(ways))
-        ]
+        return ConditionSampler(
+            {name: (self.referents[name], self._pool(name, bits, alone=alone)) for name in self._names},
+            self.sampling,
+            self.words,
+            [name for name in self._names if self._is_plain(name)],
+            single_room=self.scene.single_room,
+        )
 
     def _sampler_of(self, category: Category) -> ConditionSampler:
         """Return the sampler of conditions for programs of a category."""
         return self.condition_sampler if len(SHAPES[category].branches) > 1 else self._alone
 
-    def _pools(self, room_id: str, bits: PriorBits, ways: Sequence[bool]) -> tuple[ConditionPool, ...]:
+    def _pool(self, room_id: str, bits: PriorBits, *, alone: bool) -> ConditionPool:
         referents = self.referents[room_id]
         if self.scene.single_room:
             elsewhere = set(bits.plausible.get(referents.room.label, ()))
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
         asked = asked_in(self.scene.family) & self._sayable
-        return ConditionPool.weighed(referents, bits, elsewhere, self.words, asked, ways)
+        return ConditionPool.of(referents, bits, elsewhere, self.words, asked, alone=alone)
 
     @property
     def rejections(self) -> Counter[tuple[InstructionCell | None, str]]:
@@ -176,7 +215,7 @@ class ProgramSampler:
         """Maximum share of leaf targets that may have the same label. If the scene has too few labels for the wanted
         share, the maximum is an equal share for each label.
         """
-        return max(self.wanted.label_cap, 1.0 / max(1, len(self.stop_sampler.labels)))
+        return max(self.wanted.label_cap, 1.0 / max(1, len(self.stop_sampler.weights)))
 
     def _most_goals(self, category: Category) -> float:
         """Return how often a label may be a goal of candidates of a category."""
@@ -191,25 +230,17 @@ class ProgramSampler:
         """Yield up to ``sampling.candidates(cell)`` programs of each cell of a category, all distinct, with their
         cells.
         """
-        seen = self.nothing_seen(category)
+        seen = Seen()
         for cell in self.wanted.cells_of(category):
             drawing = self.drawing(cell, seen)
             if drawing is not None:
                 for program in self.programs(cell, drawing, self.sampling.candidates(cell)):
                     yield cell, program
 
-    def nothing_seen(self, category: Category) -> Seen:
-        """Return what the drawings of the cells of a category share, so that all of their programs are distinct."""
-        return self._seen(category, sum(map(self.sampling.candidates, self.wanted.cells_of(category))))
-
-    def _seen(self, category: Category, most: int) -> Seen:
-        """Return that nothing is seen yet of at most so many candidates of a category."""
-        shape = SHAPES[category]
-        return Seen(most, shape.leaves, len(shape.branches), len(self.stop_sampler.labels))
-
     def drawing(self, cell: InstructionCell, seen: Seen) -> CellDrawing | None:
         """Return a drawing of at most ``sampling.candidates(cell)`` candidates of a cell, for `programs`. Return None,
-        and count the reason, if the scene has none.
+        and count the reason, if the scene has none. The drawings of the cells of a category share what is `seen`, so
+        that all of their programs are distinct.
         """
         category, wanted = cell.category, self.sampling.candidates(cell)
         reasons = self._reasons.setdefault(cell, Counter())
@@ -224,76 +255,46 @@ class ProgramSampler:
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
         kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category))
-        return self._drawing(category, kind, wanted, draws, seen)
+        return self._drawing(kind, wanted, draws, seen)
 
     def programs(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Program]:
         """Yield the next `count` programs of a cell's drawing, fewer if it is exhausted."""
-        return (outline.program() for outline in self.outlines(cell, drawing, count))
-
-    def outlines(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Outline]:
-        """Yield the outlines of the next `count` programs of a cell's drawing, fewer if it is exhausted."""
-        category, reasons = cell.category, self._reasons[cell]
-        # Only the number of words is decided here, so that candidates of other cells are drawn all at once.
-        step = count if cell.words is None else 1
-        refs = self._numbered_names(self._sampler_of(category)).refs
+        reasons = self._reasons[cell]
         while count > 0:
-            found = drawing.draw(min(step, count), reasons)
-            for one in found:
-                program = partial(self._program, category, one)
-                try:
-                    if cell.words is not None:
-                        self._worded(program(), cell.words)
-                except GivenUp as given_up:
-                    reasons[given_up.reason] += 1
-                    drawing.refuse()
-                else:
-                    count -= 1
-                    labels = tuple([refs[stops[-1]].label for stops in one.stops])
-                    yield Outline(tuple(map(len, one.stops)), labels, one.gold, program)
-            if len(found) < step:
+            found = drawing.draw(1, reasons)
+            if not found:
                 return
+            try:
+                if cell.words is not None:
+                    self._worded(found[0], cell.words)
+            except GivenUp as given_up:
+                reasons[given_up.reason] += 1
+                drawing.refuse()
+            else:
+                count -= 1
+                yield found[0]
 
-    def _drawing(self, category: Category, wanted: WantedCell, most: int, draws: Draws, seen: Seen) -> CellDrawing:
+    def _drawing(self, wanted: WantedCell, most: int, draws: Draws, seen: Seen) -> CellDrawing:
         """Return a drawing of at most `most` candidates of a cell."""
-        sampler = self._sampler_of(category)
-        names, shapes = self._numbered_names(sampler), most * TRIES_PER_CANDIDATE
-        return CellDrawing(wanted, most, shapes, draws, seen, self.stop_sampler, names, sampler)
+        conditions = self._sampler_of(wanted.category)
+        shapes, stops, names = most * TRIES_PER_CANDIDATE, self.stop_sampler, self.stop_names
+        return CellDrawing(wanted, most, shapes, draws, seen, stops, names, conditions, self.words)
 
     def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float]) -> WantedCell:
         """Return what is wanted of the candidates of a cell.
 
         moves : shares of leaves with 1, 2, … moves, unless the cell says their number
         """
-        category, composition = cell.category, cell.composition
-        names, sums = self._compositions(category) if composition is None else ((composition,), ())
-        truths = [_leading_to(category, gold) for gold in range(SHAPES[category].leaves)]
-        roomy, roomy_sums, roomy_sizes = self.stop_sampler.roomy_tables(SHAPES[category].leaves)
-        asked, below = side_masks(category)
-        padded = np.zeros((len(truths), max(map(len, truths)), len(asked)), bool)
-        for gold, rows in enumerate(truths):
-            padded[gold, : len(rows)] = rows
         return WantedCell(
-            compositions=np.array([COMPOSITIONS.index(name) for name in names], np.int64),
-            composition_sums=np.array(sums, np.float64),
-            spans=ROOM_SPANS,
-            kinds=self.stop_sampler.kinds,
-            roomy=roomy,
-            roomy_sums=roomy_sums,
-            roomy_sizes=roomy_sizes,
-            move_sums=np.array(tuple(accumulate(moves)), np.float64),
-            moves=cell.moves or 0,
-            golds=np.arange(len(truths)),
-            truths=padded,
-            truth_sizes=np.array([len(rows) for rows in truths], np.int64),
-            asked=asked,
-            below=below,
-            cap=self._most_goals(category),
+            category=cell.category,
+            compositions=self._compositions(cell.category) if cell.composition is None else {cell.composition: 1.0},
+            move_shares=moves,
+            moves=cell.moves,
+            label_cap=self._most_goals(cell.category),
             draws=self.sampling.draws_per_candidate,
-            vain=VAIN_TRIES,
             bearings=self.sampling.bearings,
             # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
             egocentric=cell.observability != "O0f",
-            attempts=self.sampling.attempts,
         )
 
     def _worded(self, program: Program, words: tuple[int, int]) -> None:
@@ -314,7 +315,7 @@ class ProgramSampler:
             return
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, "counterfactual groups"))
         order, reasons = draws.sample(cells, len(cells)), self._reasons.setdefault(None, Counter())
-        seen: set[tuple[object, ...]] = set()
+        seen: set[Program] = set()
         drawings: dict[InstructionCell, CellDrawing] = {}
         for k in range(wanted):
             cell = draws.choice(order[k % len(order)])
@@ -322,109 +323,46 @@ class ProgramSampler:
                 # Placing takes the first groups that fit and can't choose among them by their moves, and it hardly
                 # rejects more of those with long routes. So the shares that are wanted are drawn.
                 kind = self._wanted_cell(cell, self.sampling.move_shares(cell.category))
-                drawings[cell] = self._drawing(cell.category, kind, 1, draws, self._seen(cell.category, 0))
+                drawings[cell] = self._drawing(kind, 1, draws, Seen(keys=None))
             drawing = drawings[cell]
             drawing.begin(draws.index(SHAPES[cell.category].leaves))
             while found := drawing.draw(1, reasons):
-                program = self._program(cell.category, found[0])
                 try:
-                    _unseen(program, seen)
-                    group = self._group(program, draws)
+                    group = self._group(found[0], seen, draws)
                 except GivenUp as given_up:
                     reasons[given_up.reason] += 1
                 else:
-                    keys = set(map(_key, group))
-                    if not seen & keys:
-                        seen.update(keys)
+                    if seen.isdisjoint(group):
+                        seen.update(group)
                         yield group
                         break
                 drawing.refuse()
 
-    def _group(self, program: Program, draws: Draws) -> Group:
+    def _group(self, program: Program, seen: set[Program], draws: Draws) -> Group:
+        if program in seen:
+            raise GivenUp("duplicate")
         group = counterfactual_group(program, self._sampler_of(program.category), draws, self.words)
         if group is None:
             raise GivenUp("no_twin")
         return group
 
-    def _compositions(self, category: Category) -> tuple[tuple[Composition, ...], tuple[float, ...]]:
-        """Return the compositions that the rooms allow for a category, and their running weights; none if all weights
-        are 0.
-        """
-        if category not in self._known_compositions:
-            weights = self.sampling.compositions
-            kinds, plain = self.stop_sampler.kinds, sum(map(self._is_plain, self._names))
-            # Where too few rooms have a plain name, a text over many rooms is rare: it needs "the bedroom that has …".
-            two, three = (1.0 if plain >= count else 1.0 / PLAIN_ROOM_WEIGHT for count in (2, 3))
-            possible: dict[Composition, tuple[bool, float]] = {
-                "C0": (self.stop_sampler.roomy(SHAPES[category].leaves), weights.C0),
-                "C1": (kinds > 1, weights.C1 * two),
-                "C2": (kinds > 2, weights.C2 * three),
-            }
-            options = {name: weight for name, (there_are_rooms, weight) in possible.items() if there_are_rooms}
-            found = (tuple(options), tuple(accumulate(options.values()))) if any(options.values()) else ((), ())
-            self._known_compositions[category] = found
-        return self._known_compositions[category]
-
-    def _program(self, category: Category, drawn: DrawnCandidate) -> Program:
-        """Return the program that was drawn."""
-        sampler = self._sampler_of(category)
-        refs = self._numbered_names(sampler).refs
-        names = [
-            self._names[self.stop_sampler.rooms[room]][k] for room, k in zip(drawn.rooms, drawn.room_names, strict=True)
-        ]
-        # What the kernel draws needs no check of its types.
-        return Program.model_construct(
-            category=category,
-            conditions=sampler.conditions(drawn.conditions, _leading_to(category, drawn.gold)[drawn.truths], names),
-            branches=SHAPES[category].branches,
-            leaves=tuple([Leaf.model_construct(moves=tuple([refs[k] for k in stops])) for stops in drawn.stops]),
-        )
+    def _compositions(self, category: Category) -> dict[Composition, float]:
+        """Return the compositions that the rooms allow for a category, and their weights."""
+        weights = self.sampling.compositions
+        kinds, plain = self.stop_sampler.kinds, sum(map(self._is_plain, self._names))
+        # Where too few rooms have a plain name, a text over many rooms is rare: it needs "the bedroom that has …".
+        two, three = (1.0 if plain >= count else 1.0 / PLAIN_ROOM_WEIGHT for count in (2, 3))
+        possible: dict[Composition, tuple[bool, float]] = {
+            "C0": (bool(self.stop_sampler.roomy(SHAPES[category].leaves)), weights.C0),
+            "C1": (kinds > 1, weights.C1 * two),
+            "C2": (kinds > 2, weights.C2 * three),
+        }
+        return {name: weight for name, (there_are_rooms, weight) in possible.items() if there_are_rooms}
 
     def _is_plain(self, room_id: str) -> bool:
         """Return whether a room's label alone names it."""
         return self._names[room_id][0].anchor_label is None
 
-    def _numbered_names(self, sampler: ConditionSampler) -> NumberedNames:
-        """Return the names of rooms and targets by numbers, with the labels numbered as in a sampler's statements."""
-        known = self._known_names.get(id(sampler))
-        if known is None:
-            known = self._known_names[id(sampler)] = NumberedNames(
-                {room_id: self._names[room_id] for room_id in self.stop_sampler.rooms},
-                self.stop_sampler.targets,
-                self._names_of,
-                sampler.numbered,
-                self.sampling,
-                sampler.rooms,
-                self.condition_sampler.start_rooms,
-            )
-        return known
-
-    def _names_of(self, target: Target, room: RoomRef) -> tuple[ObjectRef, ...]:
-        """Return the names of a target in a room with a certain name."""
-        key = (room.room_id, room.anchor_id, target.object_id)
-        if key not in self._refs:
-            refs = object_refs(self.referents[target.room_id], target.index, room)
-            self._refs[key] = tuple(ref for ref in refs if not is_circular(ref, self.words))
-        return self._refs[key]
-
-
-@cache
-def _leading_to(category: Category, gold: int) -> tuple[tuple[bool, ...], ...]:
-    """Return the truths of conditions that lead to a leaf. Truths that don't matter on the way there are fair coins."""
-    return tuple(truths for truths, leaf in outcomes(category).items() if leaf == gold)
-
-
-def _key(program: Program) -> tuple[object, ...]:
-    """Return what distinguishes a program from the other programs of a sampler. The sampler makes each condition and
-    each name of a stop once.
-    """
-    moves = (move for leaf in program.leaves for move in (*leaf.moves, None))
-    return (program.category, *map(id, program.conditions), *map(id, moves))
-
-
-def _unseen(program: Program, seen: set[tuple[object, ...]]) -> tuple[object, ...]:
-    """Return the key of a program; raise GivenUp if it was `seen`."""
-    key = _key(program)
-    if key in seen:
-        raise GivenUp("duplicate")
-    return key
+    def _refs_of(self, target: Target, room: RoomRef) -> tuple[ObjectRef, ...]:
+        """Return the references to a target in a room with a certain name."""
+        return object_refs(self.referents[target.room_id], target.index, room)

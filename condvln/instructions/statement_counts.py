@@ -3,18 +3,104 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Final, TypeAlias
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from condvln.instructions.statement_rows import STATEMENT, CodedTexts, Statement
 from condvln.instructions.statements import ANCHOR_JOINT
+from condvln.labels import vocabulary
 
-__all__ = ["StatementCounts"]
+__all__ = [
+    "STATEMENT",
+    "CodedTexts",
+    "StagedPresence",
+    "Statement",
+    "StatementCounts",
+    "numbered",
+    "numbered_statements",
+    "of_each",
+    "table_of",
+]
+
+STATEMENT: Final = ("room_type", "label", "predicate", "anchor", "definite")
+"""Columns that tell statements apart."""
+
+Statement = tuple[str, str, str, str, bool]
+"""Room type, label, predicate, anchor label, whether the statement is definite. For presence, the predicate and the
+anchor label are empty, and the last value is False.
+"""
+
+I64 = NDArray[np.int64]
+
+
+class CodedTexts(NamedTuple):
+    """A column of texts: its distinct texts in the order in which they first occur, and their numbers (n,)."""
+
+    texts: list[str]
+    numbers: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, column: pa.ChunkedArray) -> CodedTexts:
+        """Encode a column."""
+        whole = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], pa.string())
+        coded = whole.dictionary_encode()
+        return cls(coded.dictionary.to_pylist(), coded.indices.to_numpy())
+
+    def at(self, rows: NDArray[np.intp]) -> list[str]:
+        """Return the texts of some rows."""
+        return [*map(self.texts.__getitem__, self.numbers[rows].tolist())]
+
+    def among(self, wanted: Collection[str]) -> NDArray[np.bool_]:
+        """Return which rows have a wanted text, (n,)."""
+        distinct = np.fromiter((text in wanted for text in self.texts), bool, len(self.texts))
+        return distinct[self.numbers]
+
+
+def numbered_statements(
+    texts: Sequence[CodedTexts], definite: NDArray[np.bool_], rows: NDArray[np.intp]
+) -> tuple[I64, list[Statement]]:
+    """Return the number of the statement in each of `rows`, from 0 in the order in which statements first occur there;
+    and the statements by number.
+
+    Parameters
+    ----------
+    texts, definite : the columns ``STATEMENT`` of all rows
+    """
+    own, first = numbered(*(one.numbers[rows] for one in texts), definite[rows])
+    columns = [one.at(rows[first]) for one in texts]
+    return own, list(zip(*columns, definite[rows[first]].tolist(), strict=True))
+
+
+def numbered(*columns: NDArray[Any]) -> tuple[I64, NDArray[np.intp]]:
+    """Return numbers from 0 of the rows of `columns` (n,), in the order in which they first occur; and the row in which
+    each first occurs.
+    """
+    keys = np.zeros(len(columns[0]), np.int64)
+    for column in columns:
+        keys = keys * (int(column.max(initial=0)) + 1) + column
+    _, first, numbers = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    return place[numbers], first[order]
+
+
+def of_each(number: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
+    """Return the value of each number, where all rows with the same number have the same value."""
+    found = np.zeros(number.max(initial=-1) + 1, values.dtype)
+    found[number] = values
+    return found
+
+
+def table_of(rows: Sequence[tuple[object, ...]], schema: pa.Schema) -> pa.Table:
+    """Return rows as a table of a schema."""
+    columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in schema]
+    return pa.table([pa.array(c, kind.type) for c, kind in zip(columns, schema, strict=True)], schema=schema)
+
 
 Counts: TypeAlias = dict[Statement, tuple[int, int]]
 Rows: TypeAlias = NDArray[np.intp]
@@ -35,10 +121,6 @@ class StatementCounts:
         self._types, self._labels, self._predicates, self._anchors = (
             CodedTexts.of(sums[name]) for name in STATEMENT[:4]
         )
-        self._quoted = [
-            pa.array([orjson.dumps(text).decode() for text in column.texts], pa.string())
-            for column in (self._types, self._labels, self._predicates, self._anchors)
-        ]
         self._definite, self._true, self._false = (
             sums[name].to_numpy() for name in ("definite", "n_true_sum", "n_false_sum")
         )
@@ -112,27 +194,6 @@ class StatementCounts:
         """Return the counts of those of `rows` that are the presence of a label, or count the rooms of a type."""
         return self.counts(rows[self._about_presence(rows)])
 
-    def rates(self, rows: Rows, room_type: str, steps: int) -> str:
-        """Return, as items of a JSON array, the statements of `rows` that are about labels in rooms of `room_type`,
-        each with the rate at which it is true in whole `steps`.
-        """
-        rows = self.of_labels(rows, {room_type})
-        if not len(rows):
-            return ""
-        true, false = (count[rows].astype(np.float64) for count in (self._true, self._false))
-        rates = pa.array(np.rint(steps * (true / (true + false))).astype(np.int64)).cast(pa.string())
-        columns = (self._types, self._labels, self._predicates, self._anchors)
-        texts = (
-            quoted.take(pa.array(column.numbers[rows])) for column, quoted in zip(columns, self._quoted, strict=True)
-        )
-        definite = _BOOLEANS.take(pa.array(self._definite[rows].astype(np.int8)))
-        lines = pc.binary_join_element_wise(*texts, definite, rates, ",")
-        whole = pc.binary_join(pa.LargeListArray.from_arrays(pa.array([0, len(rows)], pa.int64()), lines), "],[")
-        return f"[{whole[0].as_py()}]"
-
-
-_BOOLEANS: Final = pa.array(["false", "true"])
-
 
 def _among(texts: Sequence[str], wanted: Collection[str]) -> NDArray[np.bool_]:
     """Return which of `texts` are wanted, (n,)."""
@@ -143,3 +204,52 @@ def _halves(text: str) -> list[tuple[str, str]]:
     """Return all ways to read the key of two anchors: one, as long as no label holds the joint itself."""
     parts = text.split(ANCHOR_JOINT)
     return [(ANCHOR_JOINT.join(parts[:k]), ANCHOR_JOINT.join(parts[k:])) for k in range(1, len(parts))]
+
+
+@dataclass(frozen=True, slots=True)
+class StagedPresence:
+    """The presence of those labels that some stagings have, and whose absence can be claimed of others.
+
+    rows : a row for each staging and label, with the columns of ``PRIORS``
+    counts : by type of room and label, the number of stagings in which presence is true and of those in which it is
+        false
+    """
+
+    rows: pa.Table
+    counts: Mapping[tuple[str, str], tuple[int, int]]
+
+    @classmethod
+    def of(cls, held: pa.Table, asked: Collection[tuple[str, str]]) -> StagedPresence:
+        """Return the presence of labels in the stagings of a layout.
+
+        Absence can't be claimed where a word for the label might name something that is there, be it hidden.
+
+        Parameters
+        ----------
+        held : rows of presence about one layout, with the columns of ``PRIORS``; a row with an empty label stands for
+            a room, one without counts for a label that something in it might be called
+        asked : type of room and label, of labels whose presence may be asked
+        """
+        seen: dict[tuple[str, str, str], set[str]] = {}
+        possible: dict[tuple[str, str, str], set[str]] = {}
+        columns = (held[name].to_pylist() for name in ("layout", "staging", "room_type", "label", "n_true", "n_false"))
+        for layout, staging, room_type, label, true, false in zip(*columns, strict=True):
+            room = layout, staging, room_type
+            if true:
+                seen.setdefault(room, set()).add(label)
+            if not false:
+                possible.setdefault(room, set()).add(label)
+        truths: dict[tuple[str, str], dict[tuple[str, str, str], bool]] = {}
+        for room, words in possible.items():
+            there = seen.get(room, set())
+            for room_type, label in asked:
+                if room_type == room[-1] and (label in there or not words & vocabulary.overlapping(label)):
+                    truths.setdefault((room_type, label), {})[room] = label in there
+        found = {key: known for key, known in sorted(truths.items()) if len({*known.values()}) == 2}
+        rows = [
+            (*room, label, "", "", False, int(true), int(not true), 0)
+            for (_, label), known in found.items()
+            for room, true in sorted(known.items())
+        ]
+        counts = {key: (sum(known.values()), len(known) - sum(known.values())) for key, known in found.items()}
+        return cls(table_of(rows, held.schema), counts)

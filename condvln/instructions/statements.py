@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from condvln.instructions.predicates import ASKED
 from condvln.instructions.referents import Referents, meant_by
 from condvln.labels import Vocabulary
-from condvln.labels.roles import labels_with_role
+from condvln.labels.lists import LEAST_WORTH, labels_with_role, worth
 from schemas.program import Predicate
 
 __all__ = ["ANCHOR_JOINT", "StatementTruths", "anchor_key", "statement_truths"]
@@ -36,7 +36,8 @@ class StatementTruths:
     false (l, a) : every object that the label might mean, visible or not, and every unlabelled object that may have the
         label, fails the relation at the loose threshold (for compass words, at `sector_denied`)
 
-    Where an anchor is neither fixed nor larger than each object of the label, both `true` and `false` are unset.
+    Of labels that nobody would ask about, and beside anchors that nobody would name (``worth``), `true` and `false` are
+    unset; likewise where an anchor is neither fixed nor larger than each object of the label.
     """
 
     predicate: Predicate
@@ -71,7 +72,11 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     exact = np.array([[x == label for x in own] for label in labels], dtype=bool) & referents.nameable
     overlap = meant_by(labels, own, referents.may_be, vocabulary)
     # A label that an invisible object may have is used with neither truth.
-    decided = np.array([referents.decides(label, vocabulary) for label in labels], dtype=bool)
+    room_type = referents.room.label
+    asked = np.array(
+        [worth(x, room_type).relation >= LEAST_WORTH and referents.decides(x, vocabulary) for x in labels], dtype=bool
+    )
+    landmark = np.array([worth(label, room_type).goto >= LEAST_WORTH for label in own], dtype=bool)
     # "A lamp near the bed" is false only if no unlabelled object that may be a lamp is near it. "The lamp" is visible.
     definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
     possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
@@ -82,7 +87,9 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
         if anchors.shape[1] not in fit:
             # "a bed near the bed" is pointless, and so is any other word for the bed.
             meant = overlap[:, anchors].any(axis=2)
-            fit[anchors.shape[1]] = ~meant & decided[:, None] & (exactly @ (~suits).astype(np.float32) == 0)
+            fit[anchors.shape[1]] = (
+                landmark[anchors].all(axis=1) & ~meant & asked[:, None] & (exactly @ (~suits).astype(np.float32) == 0)
+            )
         sayable = fit[anchors.shape[1]]
         if predicate == "on":
             # Nobody would ask whether the faucet is on the painting, or the side table on the sink.

@@ -1,7 +1,11 @@
-"""The rooms and the stops from which programs are drawn: which objects leaves lead to, and by which other objects."""
+"""The rooms and the stops of programs: which objects leaves lead to, and by which other objects.
+
+A set of targets is an integer: bit k is 1 if target k is in it.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache, partial
 from itertools import accumulate
@@ -10,23 +14,37 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.instructions.kernels.stops import MOST_MOVES, ByLabel, Questions, TargetTables, targets_fit
+from condvln.instructions.conflicts import members
+from condvln.instructions.degeneracy import GivenUp
 from condvln.instructions.stops import Targets
+from condvln.seeding import Draws
 from schemas.config.constants import MOST_ROOMS, PLAIN_ROOM_WEIGHT
+from schemas.episode import Composition
 
-__all__ = ["ROOM_SPANS", "StopSampler"]
+__all__ = ["ROOM_SPANS", "LabelWeights", "StopSampler"]
 
-I64 = NDArray[np.int64]
+ROOM_SPANS: Final[Mapping[Composition, tuple[int, int]]] = {"C0": (1, 1), "C1": (2, 2), "C2": (3, MOST_ROOMS)}
+"""Least and most rooms of a program, by its composition."""
 
-ROOM_SPANS: Final = np.array([[1, 1], [2, 2], [3, MOST_ROOMS]])
-"""Least and most rooms of a program, by the number of its composition."""
+SEARCHED: Final = 500
+"""Number of targets searched to find out whether a program fits, after which it counts as fitting."""
 
-ANSWERS_KEPT: Final = 2**15
-"""Number of answers kept to the question whether targets fit; a power of two. A scene asks some thousands."""
+REJECTIONS: Final = 2
+"""Number of labels drawn without checking before the remaining ones are counted; both give the same distribution."""
+
+
+class LabelWeights:
+    """Labels with the weights with which they are drawn. `members` are the targets of each label."""
+
+    def __init__(self, weights: Mapping[str, float], members: Mapping[object, int]) -> None:
+        self.labels, self.weights = [*weights], [*weights.values()]
+        self.sums = [*accumulate(self.weights)]
+        self.members = [members[label] for label in weights]
+        self.targets = sum(self.members)
 
 
 class StopSampler:
-    """The rooms and stops of programs of one scene, as `draw_candidates` draws them.
+    """Draws the rooms and stops of programs of one scene.
 
     The rooms of a program have different types: a listener would confuse "the bedroom with the desk" and "the bedroom
     with the plant", and a text with only one bedroom needs no distinguishing object. Rooms that are named by their
@@ -42,9 +60,8 @@ class StopSampler:
 
     Attributes
     ----------
-    tables, room_of : the targets as arrays, and the room of each
-    rooms : ids of the rooms, targets : the targets, by their numbers there
-    labels : labels of the targets
+    targets : the targets, by their numbers
+    weights : weight of each label of a target
     kinds : number of types of rooms
     """
 
@@ -56,93 +73,239 @@ class StopSampler:
         asked: Sequence[str],
         is_left_by: Callable[[str, tuple[str, str]], bool],
     ) -> None:
-        self.targets, self.rooms = found.targets, tuple(types)
-        numbers = {room: k for k, room in enumerate(types)}
-        kinds = {kind: k for k, kind in enumerate(dict.fromkeys(types.values()))}
-        weights = {target.label: target.weight for target in found.targets}
-        self.labels, self.kinds = tuple(weights), len(kinds)
-        label_numbers = {label: k for k, label in enumerate(weights)}
-        label = np.array([label_numbers[target.label] for target in found.targets], np.int64)
-        self.room_of = np.array([numbers[target.room_id] for target in found.targets], np.int64)
-        self._plain = np.array([room in plain for room in types], bool)
-        ends = np.cumsum(np.bincount(label, minlength=len(weights)), dtype=np.int64)
-        type_of = np.array([kinds[kind] for kind in types.values()], np.int64)
-        asked_numbers = np.array([numbers[room] for room in asked], np.int64)
-        self.tables = TargetTables(
-            questions=Questions(
-                apart=np.ascontiguousarray(found.apart),
-                label=label,
-                marks=np.random.default_rng(0).integers(-(2**63), 2**63 - 1, (len(label), 4)),
-                digests=np.zeros((ANSWERS_KEPT, 2), np.int64),
-                answers=np.zeros(ANSWERS_KEPT, bool),
-            ),
-            by_label=ByLabel(
-                clear=np.array([target.clear for target in found.targets], bool),
-                members=np.argsort(label, kind="stable").astype(np.int64),
-                spans=np.stack([np.concatenate([[0], ends[:-1]])[: len(ends)], ends], axis=1).astype(np.int64),
-            ),
-            alike=np.ascontiguousarray(found.alike),
-            order=np.arange(len(weights), dtype=np.int64),
-            weights=np.array(tuple(weights.values()), np.float64),
-            held=self.room_of[None] == np.arange(len(types))[:, None],
-            spoiling=self._spoiling(types, asked, is_left_by),
-            asked=asked_numbers,
-            asked_sums=self._preferences(asked_numbers),
-            by_type=np.argsort(type_of, kind="stable").astype(np.int64),
-            type_of=type_of,
-            plain=self._plain,
-        )
-        self._known_roomy: dict[tuple[int, int], tuple[I64, NDArray[np.float64]]] = {}
+        self.targets, self._types, self._plain, self._asked = found.targets, types, frozenset(plain), asked
+        self.weights: dict[str, float] = {}
+        for target in found.targets:
+            self.weights[target.label] = max(target.weight, self.weights.get(target.label, 0.0))
+        self.kinds = len(set(types.values()))
+        self._apart, self._alike = _sets(found.apart), _sets(found.alike)
+        self._of_label = self._grouped(target.label for target in found.targets)
+        self._clear = self._grouped(target.clear for target in found.targets).get(True, 0)
+        self._held = dict.fromkeys(types, 0) | self._grouped(target.room_id for target in found.targets)
+        kinds = [*dict.fromkeys(types.values())]
+        self._by_type = sorted(types, key=lambda room_id: kinds.index(types[room_id]))
+        self._spoiling = {room_id: self._spoilers(room_id, is_left_by) for room_id in types}
+        self._waypoints = LabelWeights(self.weights, self._of_label)
+        self._answers: dict[tuple[int, int, int, int], bool] = {}
+        self._known_roomy: dict[tuple[int, int], list[str]] = {}
 
-    def _spoiling(
-        self, types: Iterable[str], asked: Sequence[str], is_left_by: Callable[[str, tuple[str, str]], bool]
-    ) -> NDArray[np.bool_]:
-        """Return a mask (r, t) of the targets that leave nothing to ask about a room, by room: all targets, if nothing
-        is asked about the room in any case.
-        """
-        rows = []
-        for room_id in types:
-            leaves = cache(partial(is_left_by, room_id))
-            rows.append([room_id not in asked or not leaves((target.room_id, target.label)) for target in self.targets])
-        return np.array(rows, bool).reshape(len(rows), len(self.targets))
+    def _grouped(self, keys: Iterable[object]) -> dict[object, int]:
+        """Return the set of the targets with each key; `keys` has the key of each target."""
+        found: dict[object, int] = {}
+        for k, key in enumerate(keys):
+            found[key] = found.get(key, 0) | 1 << k
+        return found
+
+    def _spoilers(self, room_id: str, is_left_by: Callable[[str, tuple[str, str]], bool]) -> int:
+        """Return the targets that leave nothing to ask about a room: all, if nothing is asked about it in any case."""
+        leaves = cache(partial(is_left_by, room_id))
+        spoils = (room_id not in self._asked or not leaves((t.room_id, t.label)) for t in self.targets)
+        return self._grouped(spoils).get(True, 0)
 
     def fits(self, leaves: int) -> bool:
         """Return whether the scene has targets for so many leaves."""
-        everything = np.ones(len(self.targets), bool)
-        return targets_fit(everything, everything, leaves, 0, self.tables.questions)
+        everything = (1 << len(self.targets)) - 1
+        return self._fit(everything, everything, leaves, 0)
 
-    def roomy(self, leaves: int) -> bool:
-        """Return whether a room about which conditions can be asked has targets for so many leaves."""
-        return len(self._roomy(leaves, 0)[0]) > 0
-
-    def roomy_tables(self, leaves: int) -> tuple[I64, NDArray[np.float64], I64]:
-        """Return the rooms that can be asked about and have targets for `leaves` goals and up to 0, 1, … more stops of
-        a leaf, a row each, their running weights, and how many rooms each row has.
+    def roomy(self, leaves: int, waypoints: int = 0) -> list[str]:
+        """Return the rooms about which conditions can be asked and that have targets for so many leaves, and then for
+        so many waypoints of one leaf.
         """
-        rows = [self._roomy(leaves, waypoints) for waypoints in range(MOST_MOVES)]
-        rooms = np.zeros((MOST_MOVES, len(self.rooms)), np.int64)
-        sums = np.zeros((MOST_MOVES, len(self.rooms)), np.float64)
-        for k, (numbers, weights) in enumerate(rows):
-            rooms[k, : len(numbers)], sums[k, : len(numbers)] = numbers, weights
-        return rooms, sums, np.array([len(numbers) for numbers, _ in rows], np.int64)
-
-    def _roomy(self, leaves: int, waypoints: int) -> tuple[I64, NDArray[np.float64]]:
-        """Return the numbers of the rooms that can be asked about and have targets for `leaves` goals, and then for
-        `waypoints` more, with running weights.
-        """
-        key, tables, questions = (leaves, waypoints), self.tables, self.tables.questions
+        key = (leaves, waypoints)
         if key not in self._known_roomy:
-            chosen = [
-                room
-                for room, held in ((room, tables.held[room]) for room in tables.asked.tolist())
-                if targets_fit(held, held, leaves, 0, questions)
-                and targets_fit(held, held, leaves, waypoints, questions)
+            self._known_roomy[key] = [
+                room_id
+                for room_id in self._asked
+                if self._fit(self._held[room_id], self._held[room_id], leaves, 0)
+                and self._fit(self._held[room_id], self._held[room_id], leaves, waypoints)
             ]
-            rooms = np.array(chosen, np.int64)
-            self._known_roomy[key] = rooms, self._preferences(rooms)
         return self._known_roomy[key]
 
-    def _preferences(self, rooms: I64) -> NDArray[np.float64]:
-        """Return running weights with which rooms are drawn."""
-        weights = np.where(self._plain[rooms], PLAIN_ROOM_WEIGHT, 1.0).tolist()
-        return np.array(tuple(accumulate(weights)), np.float64)
+    def impossible(self, composition: Composition | None, moves: Sequence[int]) -> str | None:
+        """Return the reason why no program of a composition has leaves with these numbers of moves; None if there may
+        be one.
+        """
+        if composition is None or self.kinds < ROOM_SPANS[composition][0]:
+            return "no_targets"
+        if composition == "C0" and not self.roomy(len(moves), max(moves) - 1):
+            return "no_waypoint" if self.roomy(len(moves)) else "no_targets"
+        return None
+
+    def goal_weights(self, used: Counter[str], cap: float) -> LabelWeights:
+        """Return the labels that may be goals. A label is drawn more often the less it was `used`, and not at all once
+        it is a goal `cap` times.
+        """
+        weights = {x: weight / (1 + used[x]) for x, weight in self.weights.items() if used[x] + 1 <= cap}
+        return LabelWeights(weights, self._of_label)
+
+    def draw_rooms(self, composition: Composition, moves: Sequence[int], draws: Draws) -> tuple[list[str], int]:
+        """Return the ids of the rooms of a program, and the targets there that leave something to ask.
+
+        Raises
+        ------
+        GivenUp : the draw can't be completed
+        """
+        rooms, held = self._rooms(composition, moves, draws)
+        spoilers = held
+        for room_id in rooms:
+            spoilers &= self._spoiling[room_id]
+        return rooms, held & ~spoilers
+
+    def _rooms(self, composition: Composition, moves: Sequence[int], draws: Draws) -> tuple[list[str], int]:
+        """Return rooms of different types that together have targets for all stops, and these targets.
+
+        Conditions can be asked about the first room. The others are named by their label alone if enough such rooms are
+        left, so that a text hardly ever has two rooms like "the bedroom with the piano".
+        """
+        (least, most), n, waypoints = ROOM_SPANS[composition], len(moves), max(moves) - 1
+        first = self._asked if most > 1 else self.roomy(n, waypoints)
+        weights = [PLAIN_ROOM_WEIGHT if room_id in self._plain else 1.0 for room_id in first]
+        rooms = [draws.weighted(first, weights)]
+        held = self._held[rooms[0]]
+        while len(rooms) < most:
+            kinds = {self._types[room_id] for room_id in rooms}
+            ahead = [room_id for room_id in self._by_type if self._types[room_id] not in kinds]
+            enough = len(rooms) >= least and self._plain.isdisjoint(ahead) and self._fit(held, held, n, waypoints)
+            if not ahead or enough:
+                break
+            if len(rooms) == most - 1:
+                joined = ((room_id, held | self._held[room_id]) for room_id in ahead)
+                ahead = [room_id for room_id, both in joined if self._fit(both, both, n, waypoints)]
+                if not ahead:
+                    raise GivenUp("no_waypoint" if waypoints else "no_targets")
+            rooms.append(draws.choice([room_id for room_id in ahead if room_id in self._plain] or ahead))
+            held |= self._held[rooms[-1]]
+        return rooms, held
+
+    def draw_goals(self, n: int, waypoints: int, held: int, weights: LabelWeights, draws: Draws) -> list[int]:
+        """Return one goal for each of `n` leaves. They have different labels and are pairwise apart, and enough targets
+        are left for the waypoints of the longest leaf.
+
+        Raises
+        ------
+        GivenUp : the draw can't be completed
+        """
+        unused, free = held & weights.targets, held
+        if not self._fit(unused, unused, n, 0):
+            raise GivenUp("label_over_cap" if self._fit(held, held, n, 0) else "no_targets")
+        if not self._fit(unused, free, n, waypoints):
+            raise GivenUp("no_waypoint")
+        goals: list[int] = []
+        allowed = unused
+        while len(goals) < n:
+            target = self._preferred(allowed, weights, draws)
+            if target is None:  # all were tried, so that no search is needed to know it
+                self._answers[unused, free if waypoints else 0, n - len(goals), waypoints] = False
+                raise GivenUp("no_waypoint" if waypoints else "no_targets")
+            rest, spare = self._beside(unused, target), free & self._apart[target]
+            if self._fit(rest, spare, n - len(goals) - 1, waypoints):
+                goals.append(target)
+                allowed = unused = rest
+                free = spare
+            else:
+                allowed &= ~(1 << target)
+        return goals
+
+    def draw_leaves(self, moves: Sequence[int], goals: Sequence[int], held: int, draws: Draws) -> list[list[int]]:
+        """Return the stops of all leaves. Some leaves may begin with the same stop if no other stop is left, but never
+        more than half of them.
+
+        Raises
+        ------
+        GivenUp : the draw can't be completed
+        """
+        for goal in goals:
+            held &= self._apart[goal]
+        leaves: list[list[int]] = []
+        firsts = 0
+        for goal, count in zip(goals, moves, strict=True):
+            leaf = self._leaf(goal, count, held, firsts, draws)
+            firsts |= 1 << leaf[0]
+            for waypoint in leaf[:-1]:
+                held &= ~self._alike[waypoint]
+            leaves.append(leaf)
+        if max(Counter(leaf[0] for leaf in leaves).values()) > (len(leaves) + 1) // 2:
+            raise GivenUp("one_first_stop")
+        return leaves
+
+    def _leaf(self, goal: int, count: int, held: int, firsts: int, draws: Draws) -> list[int]:
+        """Return the stops of one leaf: `count` - 1 waypoints that are apart from one another, then `goal`. The first
+        waypoint is one of `firsts`, the stops with which other leaves begin, only if no other target is left.
+        """
+        left = held & ~self._of_label[self.targets[goal].label]
+        leaf: list[int] = []
+        while len(leaf) < count - 1:
+            fresh = left if leaf else left & ~firsts
+            target = self._preferred(fresh, self._waypoints, draws)
+            if target is None:
+                target = self._preferred(left, self._waypoints, draws)
+            if target is None:
+                raise GivenUp("no_waypoint")
+            leaf.append(target)
+            left = self._beside(left, target)
+        room_of = [self.targets[k].room_id for k in (*leaf, goal)]
+        if count == 3 and room_of[0] == room_of[2] != room_of[1]:
+            leaf.reverse()  # stops never return to a room
+        return [*leaf, goal]
+
+    def _beside(self, allowed: int, target: int) -> int:
+        """Return those of the `allowed` targets that are apart from `target` and have another label."""
+        return allowed & self._apart[target] & ~self._of_label[self.targets[target].label]
+
+    def _preferred(self, allowed: int, weights: LabelWeights, draws: Draws) -> int | None:
+        """Return one of the `allowed` targets, if possible one with a clear name; None if there is none."""
+        target = self._drawn(allowed & self._clear, weights, draws)
+        return self._drawn(allowed, weights, draws) if target is None else target
+
+    def _drawn(self, allowed: int, weights: LabelWeights, draws: Draws) -> int | None:
+        """Return one of the `allowed` targets, or None: first a label by its weight, then one of its targets."""
+        if not allowed or not weights.labels:
+            return None
+        for _ in range(REJECTIONS):
+            own = allowed & weights.members[draws.cumulative(weights.sums)]
+            if own:
+                break
+        else:
+            there = [k for k, one in enumerate(weights.members) if allowed & one]
+            if not there:
+                return None
+            own = allowed & weights.members[draws.weighted(there, [weights.weights[k] for k in there])]
+        return draws.choice([*members(own)]) if own & (own - 1) else own.bit_length() - 1
+
+    def _fit(self, allowed: int, free: int, n: int, waypoints: int) -> bool:
+        """Return whether `allowed` contains targets for `n` leaves, and `free` more for the `waypoints` of the longest
+        one. They have different labels and are apart from each other, and the waypoints are apart from all goals.
+        Answers are kept, since draws ask again and again.
+        """
+        if not waypoints:
+            free = 0
+            if n < 2:
+                return n < 1 or allowed > 0
+        key = (allowed, free, n, waypoints)
+        if key not in self._answers:
+            self._answers[key] = self._search(allowed, free, n, waypoints, [SEARCHED])
+        return self._answers[key]
+
+    def _search(self, allowed: int, free: int, n: int, waypoints: int, budget: list[int]) -> bool:
+        """Return `_fit`; `budget` is how many targets may be tried yet, after which the result is True."""
+        if n == 0:
+            if not waypoints:
+                return True
+            return self._search(free, 0, waypoints, 0, [SEARCHED])
+        if allowed.bit_count() < n:
+            return False
+        for target in members(allowed):
+            budget[0] -= 1
+            if budget[0] < 0:
+                return True
+            allowed &= ~(1 << target)  # every set with this target is searched now
+            if self._search(self._beside(allowed, target), free & self._apart[target], n - 1, waypoints, budget):
+                return True
+            if allowed.bit_count() < n:
+                return False
+        return False
+
+
+def _sets(table: NDArray[np.bool_]) -> list[int]:
+    """Return each row of a table of booleans as a set."""
+    return [int.from_bytes(np.packbits(row, bitorder="little").tobytes(), "little") for row in table]

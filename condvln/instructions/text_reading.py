@@ -1,4 +1,5 @@
-"""The meaning of a text in words only: the program without ids, truths and witnesses.
+"""The meaning of a text in words only: the program without ids, truths and witnesses; and whether "that bedroom" is
+near enough to the words that named the bedroom by a thing in it.
 
 Text and program agree if ``reading_of(program, …) == parse(text, …)``.
 """
@@ -6,11 +7,13 @@ Text and program agree if ``reading_of(program, …) == parse(text, …)``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Final, NamedTuple
 
-from condvln.instructions.language import language
-from schemas.program import Category, Condition, ObjectRef, Predicate, Program, RoomRef
+from condvln.instructions.language import Slot, language
+from schemas.program import SHAPES, Category, Condition, ObjectRef, Predicate, Program, RoomRef
 
-__all__ = ["Phrase", "Place", "Reading", "reading_of"]
+__all__ = ["MOST_STEPS", "Mention", "Phrase", "Place", "Reading", "reading_of", "within_reach"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +72,47 @@ def _phrase(named: Condition | ObjectRef) -> Phrase:
 def _place(room: RoomRef) -> Place | None:
     # Whether a room's name is fit for text does not depend on the language.
     return Place(room.label, room.anchor_label) if room.label in language().rooms else None
+
+
+MOST_STEPS: Final = 2
+"""Largest number of leaves, full stops, colons, semicolons and question marks between a room's name and "that
+bedroom".
+"""
+
+
+class Mention(NamedTuple):
+    """The place where a text names a room: the slot, and the number of leaves and marks before it."""
+
+    slot: Slot
+    steps: int
+
+
+def within_reach(category: Category, earlier: Mention, later: Mention) -> bool:
+    """Return whether `later` may refer to a room that `earlier` named: both are in the same leaf, or `earlier` is in a
+    condition that is asked before the leaf or condition of `later` is reached, and few steps are between them.
+    """
+    if later.steps - earlier.steps > MOST_STEPS:
+        return False
+    if earlier.slot.form == "leaf":
+        return later.slot == earlier.slot
+    conditions, leaves = _paths(category)
+    return earlier.slot.index in (leaves if later.slot.form == "leaf" else conditions)[later.slot.index]
+
+
+@cache
+def _paths(category: Category) -> tuple[tuple[frozenset[int], ...], tuple[frozenset[int], ...]]:
+    """Return the conditions asked on the way to each condition (itself included), and to each leaf."""
+    shape = SHAPES[category]
+    conditions: dict[int, frozenset[int]] = {}
+    leaves: dict[int, frozenset[int]] = {}
+    ahead = [(0, frozenset[int]())]
+    while ahead:
+        at, asked = ahead.pop()
+        if at < 0:
+            leaves[-1 - at] = asked
+            continue
+        branch = shape.branches[at]
+        asked |= {branch.condition}
+        conditions[branch.condition] = asked
+        ahead += [(branch.then, asked), (branch.otherwise, asked)]
+    return tuple(conditions[k] for k in sorted(conditions)), tuple(leaves[k] for k in sorted(leaves))

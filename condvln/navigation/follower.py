@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import register_warm_up
 from condvln.navigation.kernels.following import (
     ARRIVED,
     FORWARD,
@@ -23,8 +22,6 @@ from condvln.navigation.kernels.following import (
     TOO_LONG,
     Gait,
     Limits,
-    follow_many,
-    replay_many,
 )
 from condvln.navigation.kernels.following import follow as follow_kernel
 from condvln.navigation.kernels.following import replay as replay_kernel
@@ -209,95 +206,25 @@ class Follower:
         )
         return Walk(places, _headings(heading, facing, self.space))
 
+    def turns_to(self, place: npt.ArrayLike, heading: float, target: npt.ArrayLike) -> list[int]:
+        """Return the turns by which an agent at ``place`` (3,) faces ``target`` (3,), up to half a turn."""
+        away = np.asarray(target, np.float64) - np.asarray(place, np.float64)
+        off = math.remainder(math.atan2(-away[0], -away[2]) - heading, 2.0 * math.pi)
+        return [LEFT if off > 0.0 else RIGHT] * round(abs(off) / math.radians(self.space.turn))
+
     def lengths(
         self,
         starts: npt.ArrayLike,
         headings: Sequence[float],
-        goals: Sequence[npt.ArrayLike] | npt.NDArray[np.float64],
-        goal_ends: Indices | None = None,
+        goals: npt.NDArray[np.float64],
+        goal_ends: Indices,
     ) -> list[Length]:
         """Return the length of each of n walks that :meth:`follow` makes, from ``starts`` (n, 3) to each walk's own
-        goals. With ``goal_ends`` (n,), the goals of all walks are one array (g, 3), in which each walk's end there.
+        goals: those of all walks are ``goals`` (g, 3), in which each walk's end at ``goal_ends`` (n,).
         """
-        if not len(headings):
-            return []
-        first = many_points(starts)
-        if goal_ends is None:
-            own = [np.atleast_2d(one) for one in goals]
-            goal_ends, ends = np.cumsum([len(one) for one in own]), many_points(np.concatenate(own))
-        else:
-            ends = many_points(np.asarray(goals))
-        _, acted, _, _, _, _, outcomes = self._followed(*self._gaits(headings), first, ends, goal_ends)
-        counts = np.diff(acted, prepend=0).tolist()
-        found = [Length(count, OUTCOMES[outcome]) for count, outcome in zip(counts, outcomes.tolist(), strict=True)]
-        if not self.sliding:
-            for number, length in enumerate(found):
-                if length.outcome == OUTCOMES[STUCK]:
-                    last = int(goal_ends[number])
-                    of = ends[int(goal_ends[number - 1]) if number else 0 : last]
-                    route = self.follow(first[number], headings[number], of)
-                    found[number] = Length(len(route.actions), route.outcome)
-        return found
-
-    def follow_each(
-        self, start: npt.ArrayLike, heading: float, goals: Sequence[npt.NDArray[np.float64]]
-    ) -> list[FollowedRoute]:
-        """Return the walks that :meth:`follow` makes from ``start`` (3,) to each of several lists of goals (g, 3)."""
-        if not goals:
-            return []
-        gait, sizes = self._gait(heading), [len(one) for one in goals]
-        actions, ends, places, place_ends, arrivals, distances, outcomes = self._followed(
-            gait, gait.moves[None], np.array([heading]), one_point(start), many_points(np.concatenate(goals)),
-            np.cumsum(sizes),
-        )  # fmt: skip
-        acted, walked, goal = 0, 0, 0
-        found = []
-        for size, acts, at, distance, outcome in zip(
-            sizes, ends.tolist(), place_ends.tolist(), distances.tolist(), outcomes.tolist(), strict=True
-        ):
-            reached = arrivals[goal : goal + size]
-            found.append(FollowedRoute(actions[acted:acts], places[walked:at], reached, distance, OUTCOMES[outcome]))
-            acted, walked, goal = acts, at, goal + size
-        if not self.sliding:
-            for number, route in enumerate(found):
-                if route.outcome == OUTCOMES[STUCK]:
-                    found[number] = self.follow(start, heading, goals[number])
-        return found
-
-    def _followed(
-        self,
-        gait: Gait,
-        moves: Floats,
-        headings: npt.NDArray[np.float64],
-        starts: Floats,
-        goals: Floats,
-        goal_ends: Indices,
-    ) -> tuple[npt.NDArray[np.int8], Indices, Floats, Indices, Indices, Floats, Indices]:
-        limits = Limits(np.float32(self.stop_within), np.float32(self.arrive_within))
-        return follow_many(
-            self.pathfinder.query_mesh, gait, moves, headings, starts, goals, goal_ends, limits, self.max_actions
-        )
-
-    def places(
-        self, starts: npt.ArrayLike, headings: Sequence[float], actions: Sequence[npt.NDArray[np.int8]]
-    ) -> list[Floats]:
-        """Return for each of n agents that take ``actions`` from ``starts`` (n, 3) the positions (k, 3): its start, and
-        where it is after each forward step.
-        """
-        if not len(headings):
-            return []
-        ends = np.cumsum([len(one) for one in actions])
-        places, place_ends = replay_many(
-            self.pathfinder.query_mesh, *self._gaits(headings), many_points(starts),
-            np.concatenate(actions).astype(np.int8), ends,
-        )  # fmt: skip
-        return np.split(places, place_ends[:-1])
-
-    def _gaits(self, headings: Sequence[float]) -> tuple[Gait, Floats, npt.NDArray[np.float64]]:
-        different, which = np.unique(np.array(headings, np.float64), return_inverse=True)
-        gaits = [self._gait(heading) for heading in different.tolist()]
-        moves: Floats = np.array([gait.moves for gait in gaits])[which]
-        return self._gait(headings[0]), moves, different[which]
+        own = np.split(goals, goal_ends[:-1]) if len(headings) else []
+        routes = map(self.follow, many_points(starts), headings, own)
+        return [Length(len(route.actions), route.outcome) for route in routes]
 
     def stepped(self, start: npt.ArrayLike, heading: float) -> SteppedWalk:
         """Return a walk for an agent that chooses each action after seeing the current pose."""
@@ -351,18 +278,3 @@ def _headings(first: float, facing: Indices, space: ActionSpace) -> npt.NDArray[
     """
     turned: npt.NDArray[np.float64] = np.mod(first + facing * math.radians(space.turn), 2 * math.pi)
     return turned
-
-
-def _warm_up() -> None:
-    from condvln.navigation.polygon_tile import tile_of_polygons
-
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], np.float32)
-    follower = Follower(Pathfinder.from_tile(tile_of_polygons(square, [[0, 1, 2], [0, 2, 3]])))
-    route = follower.follow([0.1, 0.0, 0.5], 0.0, [0.9, 0.0, 0.5])
-    follower.walk([0.1, 0.0, 0.5], 0.0, route.actions)
-    follower.stepped([0.1, 0.0, 0.5], 0.0).take(FORWARD)
-    follower.lengths([[0.1, 0.0, 0.5]], [0.0], [[0.9, 0.0, 0.5]])
-    follower.places([[0.1, 0.0, 0.5]], [0.0], [route.actions])
-
-
-register_warm_up("follower", _warm_up)

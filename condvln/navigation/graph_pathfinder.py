@@ -1,9 +1,15 @@
-"""Shortest paths over viewpoint graphs, by the methods of the pathfinder protocol; and folders of such graphs."""
+"""Shortest paths over viewpoint graphs, by the methods of the pathfinder protocol; and Matterport3D's graphs of
+viewpoints, ``<scan>_connectivity.json``, read with strict checks.
+
+The rules of the files are Matterport3DSimulator's (``NavGraph.cpp``, MIT) and those of R2R's ``load_nav_graphs``: a
+viewpoint counts if it is ``included``; an edge joins two such viewpoints that are ``unobstructed`` both ways.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -13,15 +19,95 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from condvln.navigation.connectivity import ViewpointGraph, read_connectivity
-from condvln.navigation.points import many_points, one_point, paired_points
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_document import parse_json
+from condvln.navigation.points import RandomSource, many_points, one_point, paired_points
 from condvln.navigation.protocol import ShortestPath
-from condvln.navigation.sampling import RandomSource
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import Floats, Ints
-from schemas.errors import InputError, UsageError
+from schemas.errors import FormatError, InputError, UsageError
 
-__all__ = ["GraphFolder", "GraphPathfinder"]
+__all__ = ["GraphFolder", "GraphPathfinder", "ViewpointGraph", "read_connectivity"]
+
+# The largest scan has about 350 viewpoints; a file lists visibility for every pair.
+MAX_VIEWPOINTS = 2000
+MAX_FILE_BYTES = 64 * 1024 * 1024
+# Coordinates beyond 1000 km can't belong to a building.
+MOST_METRES = 1e6
+
+REMEDY = "Take the file from the Matterport3DSimulator repository again"
+
+
+@dataclass(frozen=True, eq=False)
+class ViewpointGraph:
+    """A graph of n viewpoints and m edges.
+
+    Attributes
+    ----------
+    ids : names of the viewpoints, in file order
+    positions : (n, 3) float32 on the floor below the camera, metres, Habitat frame
+    edges : (m, 2) int32 pairs, each once, the lower index first
+    lengths : (m,) float64 metres between the two cameras, R2R's edge weight
+    """
+
+    ids: tuple[str, ...]
+    positions: Floats
+    edges: npt.NDArray[np.int32]
+    lengths: npt.NDArray[np.float64]
+
+
+def read_connectivity(path: str | os.PathLike[str]) -> ViewpointGraph:
+    """Read a connectivity file.
+
+    Camera positions are z-up in metres: (x, y, z) becomes (x, z, −y). The floor lies ``height`` metres below the
+    camera.
+
+    Raises
+    ------
+    MissingFileError : the file does not exist, or can't be opened
+    FormatError : it does not hold a valid connectivity graph
+    """
+    file, real = Path(path), Path(os.path.realpath(path))  # a link may lead anywhere
+    items = parse_json(DatasetRoot(real.parent).read(real.name, MAX_FILE_BYTES), str(file)).elements()
+    count = len(items)
+    if not 1 <= count <= MAX_VIEWPOINTS:
+        raise _error(file, "", f"not a list of 1 to {MAX_VIEWPOINTS} viewpoints")
+    names = [item["image_id"].text() for item in items]
+    poses = [item["pose"].vector(16, MOST_METRES) for item in items]
+    heights = [item["height"].number(MOST_METRES) for item in items]
+    included = [item["included"].boolean() for item in items]
+    blocked = np.zeros((count, count), bool)
+    for number, item in enumerate(items):
+        free = item["unobstructed"].value
+        if not isinstance(free, list) or len(free) != count or not all(isinstance(one, bool) for one in free):
+            item["unobstructed"].fail(f"a list of {count} booleans is expected")
+        blocked[number] = ~np.array(free, bool)
+    if "" in names:
+        raise _error(file, f"[{names.index('')}].image_id", "the name is empty")
+    if len(set(names)) != count:
+        twice = next(name for name in names if names.count(name) > 1)
+        raise _error(file, f"[{names.index(twice)}].image_id", f"viewpoint {twice!r} occurs twice")
+    kept = np.flatnonzero(included)
+    if not len(kept):
+        raise _error(file, "", "no viewpoint is included")
+    joined = ~blocked[np.ix_(kept, kept)]
+    if np.diagonal(joined).any():
+        number = int(kept[np.argmax(np.diagonal(joined))])
+        raise _error(file, f"[{number}].unobstructed", "a viewpoint is connected to itself")
+    if (joined != joined.T).any():
+        a, b = np.argwhere(joined & ~joined.T)[0]
+        raise _error(file, f"[{kept[a]}].unobstructed[{kept[b]}]", "an edge exists in one direction only")
+    matrix = np.array(poses)[kept].reshape(-1, 4, 4)
+    cameras = np.stack([matrix[:, 0, 3], matrix[:, 2, 3], -matrix[:, 1, 3]], axis=1)
+    floors = cameras - np.array([0.0, 1.0, 0.0]) * np.array(heights)[kept][:, None]
+    edges = np.argwhere(np.triu(joined)).astype(np.int32)
+    lengths = np.linalg.norm(cameras[edges[:, 0]] - cameras[edges[:, 1]], axis=1)
+    return ViewpointGraph(tuple(names[i] for i in kept), floors.astype(np.float32), edges, lengths)
+
+
+def _error(file: Path, place: str, what: str) -> FormatError:
+    return FormatError(what, where=file, place=place, remedy=REMEDY)
+
 
 # Largest distance in metres from a point to the viewpoint it snaps to: R2R's success radius, about 1.5 edges.
 SNAP_REACH = 3.0
@@ -55,7 +141,7 @@ class GraphPathfinder:
 
         Raises
         ------
-        MissingFileError, FormatError : from :func:`~condvln.navigation.connectivity.read_connectivity`
+        MissingFileError, FormatError : from :func:`~condvln.navigation.graph_pathfinder.read_connectivity`
         """
         return cls(read_connectivity(path))
 
@@ -99,9 +185,9 @@ class GraphPathfinder:
         """Number of connected components."""
         return int(self._islands.max()) + 1
 
-    def island_area(self, index: int) -> float:
+    def island_area(self, island_index: int) -> float:
         """Return 0: viewpoints have no area."""
-        self._island(index)
+        self._island(island_index)
         return 0.0
 
     # -- points --------------------------------------------------------------------------------------------------------
@@ -116,11 +202,11 @@ class GraphPathfinder:
         place: Floats = self.graph.positions[self._index(viewpoint)]
         return place
 
-    def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
+    def snap_point(self, point: npt.ArrayLike, island_index: int | None = None) -> Floats:
         """Return the position (3,) of the viewpoint nearest to a point, among all or among those of one island; NaN if
         none is in reach.
         """
-        snapped: Floats = self.snap_points(one_point(point), island)[0]
+        snapped: Floats = self.snap_points(one_point(point), island_index)[0]
         return snapped
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:

@@ -1,4 +1,4 @@
-"""Read Habitat's ``.navmesh`` files, versions 1 and 2, with strict checks, and write them byte-identically.
+"""Read Habitat's ``.navmesh`` files, versions 1 and 2, with strict checks, write them byte-identically, compare them.
 
 Layout after ``PathFinder.cpp`` of habitat-sim (MIT) and ``DetourNavMesh.h`` of Recast & Detour (zlib licence). Files
 are untrusted: each count is checked against the actual bytes before anything is allocated, and each index that a query
@@ -37,7 +37,7 @@ from condvln.navigation.tile import (
 )
 from schemas.errors import FormatError, MissingFileError
 
-__all__ = ["NavMeshFile", "parse_navmesh", "read_navmesh", "write_navmesh"]
+__all__ = ["Difference", "NavMeshFile", "compare_navmeshes", "parse_navmesh", "read_navmesh", "write_navmesh"]
 
 FILE_MAGIC = 0x4D534554  # 'MSET'
 FILE_VERSIONS = (1, 2)
@@ -361,3 +361,82 @@ def _check_detail(reader: _Reader, tile: NavMeshTile) -> None:
 def _decimal(value: Any) -> float:
     """Return the shortest decimal that rounds to this float32: 0.05, not 0.05000000074505806."""
     return float(str(np.float32(value)))
+
+
+# The stage that makes each part of a navmesh file, in build order.
+STAGE_OF_PART = {
+    "settings": "settings",
+    "bounds": "mesh bounds",
+    "verts": "polygon mesh",
+    "polys": "polygon mesh",
+    "detail_meshes": "detail mesh",
+    "detail_verts": "detail mesh",
+    "detail_tris": "detail mesh",
+    "bv_nodes": "bounding volume tree",
+    "links": "links",
+    "header": "tile header",
+    "file": "file header",
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first difference of two builds.
+
+    Attributes
+    ----------
+    stage : the stage that made it
+    array : name of the array or part
+    index : first row or item that differs; if one array is shorter, its length
+    first, second : the values there, None beyond the end
+    """
+
+    stage: str
+    array: str
+    index: int
+    first: Any
+    second: Any
+
+    def __str__(self) -> str:
+        return f"{self.stage}: {self.array}[{self.index}] is {self.first} in the first and {self.second} in the second"
+
+
+def compare_navmeshes(first: NavMeshFile, second: NavMeshFile) -> Difference | None:
+    """Return the first difference between two navmesh files, in the order in which a build makes their parts; None if
+    the files are equal byte for byte.
+    """
+    theirs = _parts(second)
+    for name, a in _parts(first).items():
+        b = theirs[name]
+        shared = min(len(a), len(b))
+        rows = np.flatnonzero(_unequal(a[:shared], b[:shared]))
+        if len(rows) or len(a) != len(b):
+            index = int(rows[0]) if len(rows) else shared
+            return Difference(STAGE_OF_PART[name], name, index, _item(a, index), _item(b, index))
+    return None
+
+
+def _parts(navmesh: NavMeshFile) -> dict[str, Records]:
+    tile, settings = navmesh.tile, navmesh.settings
+    own: dict[str, Records] = {
+        "settings": np.array([] if settings is None else list(vars(settings).values()), np.float64),
+        "bounds": np.concatenate(tile.bounds),
+        "header": tile.header.reshape(1),
+        "file": np.frombuffer(navmesh.to_bytes(), np.uint8),
+    }
+    return {name: own[name] if name in own else getattr(tile, name) for name in STAGE_OF_PART}
+
+
+def _unequal(a: Records, b: Records) -> Records:
+    """Return a mask (n,) of the rows of ``a`` that differ from the same row of ``b``. If both arrays have the same
+    dtype, their rows are compared bitwise, so that NaN equals NaN; otherwise by value.
+    """
+    count = len(a)
+    if count and a.dtype == b.dtype:
+        a, b = (np.frombuffer(rows.tobytes(), np.uint8).reshape(count, -1) for rows in (a, b))
+    different: Records = (a != b).any(axis=tuple(range(1, a.ndim)))
+    return different
+
+
+def _item(array: Records, index: int) -> Any:
+    return array[index].tolist() if index < len(array) else None

@@ -7,21 +7,16 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import register_warm_up
-from condvln.navigation.kernels.first_hits import blocked_rays
-from condvln.navigation.kernels.slabs import blocked_looks
-from schemas.errors import FormatError, UsageError
+from condvln.navigation.kernels.sight import blocked_looks
+from schemas.errors import UsageError
 
-__all__ = ["WALL_THICKNESS", "BoxOccluders", "JoinedOccluders", "MeshOccluders", "Occluders", "wall_boxes"]
+__all__ = ["BoxOccluders", "JoinedOccluders", "MeshOccluders", "Occluders"]
 
 Points = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 TOUCH = 0.01
 """Metres: a hit this near to the target point is the target's own surface, or something lying on it."""
-
-WALL_THICKNESS = 0.1
-"""Thickness in metres of a wall that is known only as a line."""
 
 # Metres: bounds with a shorter diagonal are a point. This is trimesh's ``tol.zero``.
 _POINT = 100 * float(np.finfo(np.float64).resolution)
@@ -66,7 +61,7 @@ class MeshOccluders:
         # Imported here because both are slow to load, and boxes need neither.
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-        from condvln.navigation.recast.triangles import checked_triangles
+        from condvln.navigation.recast.config import checked_triangles
 
         points, corners = checked_triangles(vertices, faces)
         self._triangles = np.array(points[corners], np.float64, order="C")
@@ -89,8 +84,31 @@ class MeshOccluders:
             return hidden
         direction = away[rays] / distance[rays, None]
         first = np.asarray(self._caster.intersects_first(eyes[rays], direction), np.int64)
-        hidden[rays] = blocked_rays(eyes[rays], direction, distance[rays], self._triangles, first, TOUCH)
+        hit = first >= 0
+        rays, first, direction = rays[hit], first[hit], direction[hit]
+        hidden[rays] = distances_to_hits(eyes[rays], direction, self._triangles[first]) < distance[rays] - TOUCH
         return hidden
+
+
+def distances_to_hits(eyes: Points, direction: Points, triangles: Points) -> Points:
+    """Return the distance (k,) in metres at which each ray meets its triangle (k, 3, 3).
+
+    It is the distance to the plane of the triangle, limited to the range of the triangle's corners along the ray; for a
+    ray parallel to the plane it is the farthest corner.
+
+    eyes, direction : (k, 3) origins in metres and unit vectors
+    """
+    # Coordinates come first: NumPy adds up long rows, not many short ones.
+    ray = np.ascontiguousarray(direction.T)
+    away = np.ascontiguousarray(triangles.transpose(1, 2, 0)) - eyes.T
+    along = (away * ray).sum(axis=1)
+    nearest, farthest = along.min(axis=0), along.max(axis=0)
+    (ax, ay, az), (bx, by, bz) = away[1:] - away[0]
+    normal = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plane = (normal * away[0]).sum(axis=0) / (normal * ray).sum(axis=0)
+    found: Points = np.clip(np.where(np.isfinite(plane), plane, farthest), nearest, farthest)
+    return found
 
 
 class _Surface:
@@ -154,25 +172,6 @@ class BoxOccluders:
                 "a box has a number that is NaN or infinite, or a negative extent", place=f"box {int(np.argmin(sound))}"
             )
 
-    @classmethod
-    def of_aabbs(cls, aabbs: npt.ArrayLike) -> BoxOccluders:
-        """Build axis-aligned boxes from (b, 2, 3) lowest and highest corners."""
-        low, high = np.moveaxis(np.asarray(aabbs, np.float64).reshape(-1, 2, 3), 1, 0)
-        return cls((low + high) / 2, (high - low) / 2)
-
-    def __len__(self) -> int:
-        return len(self._centers)
-
-    def __add__(self, other: BoxOccluders) -> BoxOccluders:
-        """Return the boxes of ``self`` followed by those of ``other``."""
-        pairs = (
-            (self._centers, other._centers),
-            (self._half, other._half),
-            (self._axes, other._axes),
-            (self._headroom, other._headroom),
-        )
-        return BoxOccluders(*(np.concatenate(pair) for pair in pairs))
-
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
         """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`. ``own`` holds indices of boxes in
         the order in which they were given.
@@ -199,42 +198,3 @@ class JoinedOccluders:
         left = np.flatnonzero(~out)
         out[left] = self._mesh.hidden(eyes[left], points[left])
         return out
-
-
-def wall_boxes(
-    segments: npt.ArrayLike, bottom: npt.ArrayLike, top: npt.ArrayLike, thickness: float = WALL_THICKNESS
-) -> BoxOccluders:
-    """Return boxes for walls of which only the lines are known.
-
-    Parameters
-    ----------
-    segments : (w, 2, 2) metres, both ends of each wall as (x, z); without the openings
-    bottom, top : (w,) or one height for all, metres
-    """
-    ends = np.asarray(segments, np.float64).reshape(-1, 2, 2)
-    low, high = (np.broadcast_to(np.asarray(y, np.float64), len(ends)) for y in (bottom, top))
-    if not (np.isfinite(ends).all() and np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
-        raise FormatError("a wall has an end that is not finite, or its top is below its bottom", place="walls")
-    middle, along = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(along, axis=1)
-    unit = np.where(length[:, None] > 0, along / np.where(length > 0, length, 1)[:, None], [1.0, 0.0])
-    zero, one = np.zeros(len(ends)), np.ones(len(ends))
-    axes = np.stack(
-        [
-            np.stack([unit[:, 0], zero, unit[:, 1]], axis=1),
-            np.stack([zero, one, zero], axis=1),
-            np.stack([-unit[:, 1], zero, unit[:, 0]], axis=1),
-        ],
-        axis=2,
-    )
-    half = np.stack([length / 2, (high - low) / 2, np.full(len(ends), thickness / 2)], axis=1)
-    return BoxOccluders(np.stack([middle[:, 0], (low + high) / 2, middle[:, 1]], axis=1), half, axes)
-
-
-def _warm_up() -> None:
-    eyes, away = np.array([[3.0, 0, 0]]), np.array([[-1.0, 0, 0]])
-    BoxOccluders.of_aabbs([[[-1, -1, -1], [1, 1, 1]]]).hidden(eyes, 3.0 * away)
-    blocked_rays(eyes, away, np.array([6.0]), np.eye(3)[None], np.zeros(1, np.int64), TOUCH)
-
-
-register_warm_up("line of sight among boxes", _warm_up)

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.bvtree import build_bv_tree, quantise_bounds
-from condvln.navigation.links import link_tile
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import (
     DETAIL_MESH,
@@ -22,6 +20,9 @@ from condvln.navigation.tile import (
     Floats,
     NavMeshTile,
     Records,
+    build_bv_tree,
+    link_tile,
+    quantise_bounds,
 )
 from schemas.errors import InputError
 

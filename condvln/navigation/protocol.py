@@ -8,11 +8,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from condvln.navigation.sampling import RandomSource
+from condvln.navigation.points import RandomSource
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import Floats, Ints
 
-__all__ = ["PathfinderProtocol", "ShortestPath"]
+__all__ = ["MultiGoalShortestPath", "PathfinderProtocol", "ShortestPath"]
 
 
 @runtime_checkable
@@ -57,7 +57,7 @@ class PathfinderProtocol(Protocol):
     def distance_table(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Floats:
         """Return a table (n, m), float32, of the distances in metres from each of n starts to each of m ends."""
 
-    def snap_point(self, point: npt.ArrayLike, island: int | None = None) -> Floats:
+    def snap_point(self, point: npt.ArrayLike, island_index: int | None = None) -> Floats:
         """Return the nearest navigable point (3,)."""
 
     def snap_points(self, points: npt.ArrayLike, island: int | None = None) -> Floats:
@@ -79,7 +79,7 @@ class PathfinderProtocol(Protocol):
         component is given by its index or by a point in it.
         """
 
-    def island_area(self, index: int) -> float:
+    def island_area(self, island_index: int) -> float:
         """Return the area in square metres of one component."""
 
     def get_random_navigable_points(self, count: int, rng: RandomSource, island: int | None = None) -> Floats:
@@ -90,22 +90,45 @@ def _no_points() -> Floats:
     return np.empty((0, 3), np.float32)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ShortestPath:
-    """A shortest path, or the fact that there is none.
+    """A shortest path, or the fact that there is none. As in habitat-sim, it is also a query: a caller sets
+    ``requested_start`` and ``requested_end``, and ``Pathfinder.find_path(path)`` fills in the rest.
 
     Attributes
     ----------
     geodesic_distance : metres along the path; infinite if there is none
     points : (k, 3) float32 corner points, metres, Habitat frame; empty if there is none
     closest_goal : index of the goal that the path leads to; -1 if there is no path
+    requested_start, requested_end : (3,) metres; None where the path is an answer only
     """
 
     geodesic_distance: float = float("inf")
     points: Floats = field(default_factory=_no_points)
     closest_goal: int = -1
+    requested_start: npt.ArrayLike | None = None
+    requested_end: npt.ArrayLike | None = None
 
     @property
     def found(self) -> bool:
         """Whether there is a path."""
         return self.geodesic_distance < float("inf")
+
+
+@dataclass(eq=False)
+class MultiGoalShortestPath:
+    """habitat-sim's query for the shortest of the paths to several ends; ``Pathfinder.find_path(path)`` fills it in.
+
+    Attributes
+    ----------
+    requested_start : (3,) metres
+    requested_ends : (n, 3) metres
+    points, geodesic_distance : those of `ShortestPath`
+    closest_end_point_index : index of the end that the path leads to; -1 if there is no path
+    """
+
+    requested_start: npt.ArrayLike | None = None
+    requested_ends: npt.ArrayLike | None = None
+    points: Floats = field(default_factory=_no_points)
+    geodesic_distance: float = float("inf")
+    closest_end_point_index: int = -1

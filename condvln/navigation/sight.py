@@ -7,35 +7,35 @@ view, and nothing blocks the line.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import register_warm_up
-from condvln.navigation.kernels.lines import lines_in_range
 from condvln.navigation.occluders import Flags, Occluders, Points
+from schemas.config import EpisodeConfig, PlacesConfig
+from schemas.config.constants import LEVEL_CAMERA
 from schemas.errors import UsageError
 
 __all__ = [
+    "EDGE",
     "EYE_HEIGHT",
-    "Look",
+    "Recognition",
     "SightTarget",
     "View",
     "eyes_at",
-    "first_sights",
     "in_view",
-    "lines_in_view",
+    "visible_extent",
     "visible_points",
-    "visible_shares",
-    "visible_to_each",
 ]
 
 EYE_HEIGHT = 1.25
 """Height in metres of the camera above the agent's feet: habitat-lab's default, which VLN-CE's R2R task keeps."""
+
+EDGE = 1e-9
+"""Metres by which a point may lie outside the border of a view and still be inside. So rounding doesn't decide about
+points exactly on the border, which are frequent where headings are multiples of 45° and positions whole millimetres.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +72,35 @@ class View:
     def needs_heading(self) -> bool:
         """Whether the agent's heading matters."""
         return self.horizontal_fov != 360 or self.vertical_fov is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Recognition:
+    """When an agent recognises a thing: enough of it is in free view, and that part appears large enough.
+
+    view : range and field of view
+    share : share of the thing's sample points that must be visible
+    short, long : least sides in degrees of the rectangle of azimuth × elevation around its visible samples
+    """
+
+    view: View
+    share: float
+    short: float
+    long: float
+
+    @classmethod
+    def of(cls, places: PlacesConfig, rules: EpisodeConfig) -> Recognition:
+        """Return the rule of a configuration, for a level camera that turns: it sees nothing far above or below it."""
+        view = View(range=places.sight_range, pitch=LEVEL_CAMERA[1] / 2)
+        return cls(view, rules.object_seen, places.seen_degrees.short, places.seen_degrees.long)
+
+    def holds(self, visible: Flags, extent: Points) -> Flags:
+        """Return a mask (n,) of the eyes that recognise a thing, from the samples that each one sees, (n, k), and the
+        extent of these samples, (n, 2) as :func:`visible_extent` returns it.
+        """
+        enough = np.count_nonzero(visible, axis=1) >= self.share * visible.shape[1]
+        large = (extent >= np.array([self.short, self.long])).all(axis=1)
+        return np.asarray(enough & large & visible.any(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +140,7 @@ def visible_points(
     ----------
     eyes : (n, 3) metres, Habitat frame; a non-finite one sees nothing
     points : (m, 3) metres
-    view : 5 m all around if not given
+    view : `View`'s range, all around, if not given
     headings : (n,) radians counter-clockwise from −z, for a view that does not look all around
     own : (m,) index of the occluder that each point belongs to, -1 for none
 
@@ -130,46 +159,37 @@ def visible_points(
     return visible
 
 
-class Look(NamedTuple):
-    """Eyes (n, 3) in metres that look for a target in any direction."""
+def visible_extent(eyes: npt.ArrayLike, samples: npt.ArrayLike, visible: npt.ArrayLike) -> Points:
+    """Return how large a thing appears from each of n eyes: the sides (n, 2) in degrees, the shorter one first, of the
+    rectangle of azimuth × elevation around its visible samples; 0 where none is visible.
 
-    eyes: Points
-    target: SightTarget
-    view: View
+    The azimuth is that of the narrowest sector with all visible samples in it, so that a thing all round an eye is
+    wide; it is measured along the parallel of the sample nearest to the horizon, so that a thin thing at one's feet is
+    not. In the picture of a pinhole camera, level or not, that looks at the thing, a degree is at least about the focal
+    length times π / 180 pixels.
 
-
-def visible_to_each(occluders: Occluders, looks: Sequence[Look]) -> list[Flags]:
-    """Return for each look a mask (n, k): whether each of its n eyes sees each of the k samples of its target. The
-    masks are those of :func:`visible_points`; the lines of all looks are tested together.
-
-    Raises
-    ------
-    UsageError : a view needs headings
+    Parameters
+    ----------
+    eyes : (n, 3) metres, Habitat frame
+    samples : (k, 3) metres; visible : (n, k) whether each eye sees each sample
     """
-    if any(view.needs_heading for _, _, view in looks):
-        raise UsageError("a look in any direction can't have a limited field of view")
-    first_eye = np.cumsum([0, *(len(eyes) for eyes, _, _ in looks)], dtype=np.int64)
-    first_point = np.cumsum([0, *(len(target.samples) for _, target, _ in looks)], dtype=np.int64)
-    eyes, points = (
-        np.concatenate([np.empty((0, 3)), *parts], dtype=np.float64)
-        for parts in ([look.eyes for look in looks], [look.target.samples for look in looks])
-    )
-    reach = np.array([view.range**2 for _, _, view in looks], np.float64)
-    line, eye, point = lines_in_range(eyes, points, first_eye, first_point, reach)
-    begin, end = eyes[eye], points[point]
-    if any(view.pitch is not None for _, _, view in looks):
-        steepest = [math.inf if view.pitch is None else math.tan(math.radians(view.pitch)) for _, _, view in looks]
-        slope = np.repeat(steepest, np.diff(first_eye))[eye]
-        x, y, z = (end - begin).T
-        with np.errstate(invalid="ignore"):  # straight up or down, without a limit: 0 times infinity
-            kept = np.isinf(slope) | (np.abs(y) <= np.hypot(x, z) * slope)
-        line, point, begin, end = line[kept], point[kept], begin[kept], end[kept]
-    own = np.concatenate([np.empty(0, np.int64), *(target.owners for _, target, _ in looks)])[point]
-    sizes = np.diff(first_eye) * np.diff(first_point)
-    visible = np.zeros(int(sizes.sum()), bool)
-    visible[line[~occluders.hidden(begin, end, own)]] = True
-    parts = pairwise(np.cumsum([0, *sizes]).tolist())
-    return [visible[i:j].reshape(len(look.eyes), -1) for look, (i, j) in zip(looks, parts, strict=True)]
+    looking, points = (np.asarray(values, np.float64).reshape(-1, 3) for values in (eyes, samples))
+    seen = np.asarray(visible, np.bool_)
+    some = np.flatnonzero(seen.any(axis=1))
+    found = np.zeros((len(looking), 2))
+    if not len(some):
+        return found
+    seen = seen[some]
+    x, y, z = points.T[:, None] - looking[some].T[:, :, None]
+    azimuth, elevation = np.degrees(np.arctan2(x, -z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
+    # Samples that aren't visible take the place of one that is.
+    row, one = np.arange(len(some))[:, None], seen.argmax(axis=1)[:, None]
+    around = np.sort(np.where(seen, azimuth, azimuth[row, one]), axis=1)
+    gaps = np.diff(around, axis=1, append=around[:, :1] + 360.0)
+    tall = np.where(seen, elevation, elevation[row, one])
+    wide = (360.0 - gaps.max(axis=1)) * np.cos(np.radians(np.abs(tall).min(axis=1)))
+    found[some] = np.sort(np.stack([wide, np.ptp(tall, axis=1)], axis=1), axis=1)
+    return found
 
 
 def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | None = None) -> Flags:
@@ -194,21 +214,12 @@ def in_view(eyes: Points, points: Points, view: View, headings: npt.ArrayLike | 
     return _inside(x, y, z, view, heading)
 
 
-def lines_in_view(eyes: Points, points: Points, view: View, headings: Points) -> Flags:
-    """Return a mask (n,): whether each of n points (n, 3) is in the range and field of view of its own eye (n, 3),
-    which looks along its own heading (n,). The values are those of :func:`in_view`.
-    """
-    with np.errstate(invalid="ignore", over="ignore"):
-        x, y, z = (points - eyes).T
-    return _inside(x, y, z, view, headings)
-
-
 def _inside(x: Points, y: Points, z: Points, view: View, heading: Points | None) -> Flags:
     """Return a mask of the offsets from eyes to points that are within a view. A heading is needed if it matters."""
     with np.errstate(invalid="ignore", over="ignore"):
-        inside: Flags = x * x + y * y + z * z <= view.range**2
+        inside: Flags = x * x + y * y + z * z <= (view.range + EDGE) ** 2
         if view.pitch is not None:
-            inside &= np.abs(y) <= np.hypot(x, z) * math.tan(math.radians(view.pitch))
+            inside &= np.abs(y) <= np.hypot(x, z) * math.tan(math.radians(view.pitch)) + EDGE
     if not view.needs_heading or heading is None:
         return inside
     sine, cosine = np.sin(heading), np.cos(heading)
@@ -216,54 +227,7 @@ def _inside(x: Points, y: Points, z: Points, view: View, heading: Points | None)
     aside = x * cosine - z * sine
     with np.errstate(invalid="ignore"):
         if view.horizontal_fov != 360:
-            inside &= np.abs(aside) <= ahead * math.tan(math.radians(view.horizontal_fov / 2))
+            inside &= np.abs(aside) <= ahead * math.tan(math.radians(view.horizontal_fov / 2)) + EDGE
         if view.vertical_fov is not None:
-            inside &= np.abs(y) <= ahead * math.tan(math.radians(view.vertical_fov / 2))
+            inside &= np.abs(y) <= ahead * math.tan(math.radians(view.vertical_fov / 2)) + EDGE
     return inside
-
-
-def visible_shares(
-    occluders: Occluders,
-    eyes: npt.ArrayLike,
-    targets: Sequence[SightTarget],
-    view: View | None = None,
-    headings: npt.ArrayLike | None = None,
-) -> Points:
-    """Return a table (n, t) that holds, for each of n eyes and each of t targets, the share (0 to 1) of the target's
-    samples that the eye sees. All shares are computed as one batch.
-    """
-    sizes = np.array([len(target.samples) for target in targets], np.int64)
-    if (sizes == 0).any():
-        raise UsageError("a target has no samples", place=f"target {int(np.argmin(sizes))}")
-    count = len(np.asarray(eyes, np.float64).reshape(-1, 3))
-    if not len(targets):
-        return np.zeros((count, 0))
-    points = np.concatenate([target.samples for target in targets])
-    own = np.concatenate([target.owners for target in targets])
-    seen = visible_points(occluders, eyes, points, view, headings, own)
-    shares: Points = np.add.reduceat(seen.astype(np.float64), np.cumsum(sizes) - sizes, axis=1) / sizes
-    return shares
-
-
-def first_sights(
-    occluders: Occluders,
-    path: npt.ArrayLike,
-    targets: Sequence[SightTarget],
-    view: View | None = None,
-    headings: npt.ArrayLike | None = None,
-    least_share: float = 0.0,
-) -> npt.NDArray[np.int64]:
-    """Return, for each of t targets, the index of the first eye of ``path`` (n, 3) that sees more than ``least_share``
-    of the target; -1 if no eye does.
-    """
-    seen = visible_shares(occluders, path, targets, view, headings) > least_share
-    if not len(seen):
-        return np.full(len(targets), -1, np.int64)
-    return np.where(seen.any(axis=0), seen.argmax(axis=0), -1)
-
-
-def _warm_up() -> None:
-    lines_in_range(np.eye(3), np.eye(3), np.array([0, 3]), np.array([0, 3]), np.ones(1))
-
-
-register_warm_up("lines of sight in range", _warm_up)

@@ -3,6 +3,10 @@
 The records are those of Detour's ``DetourNavMesh.h`` (Mikko Mononen, zlib licence), little-endian and with C's natural
 packing, so that :meth:`NavMeshTile.to_bytes` returns exactly the bytes that were read. Habitat builds a scene as a
 single tile.
+
+Links and disabled polygons are those that Habitat makes when it builds or loads a tile: ``dtNavMesh::connectIntLinks``
+(Detour) and ``removeZeroAreaPolys`` (``PathFinder.cpp`` of habitat-sim 0.3.4). The bounding volume tree follows
+``createBVTree`` of ``DetourNavMeshBuilder.cpp``.
 """
 
 from __future__ import annotations
@@ -33,6 +37,11 @@ __all__ = [
     "NavMeshTile",
     "Records",
     "base_reference",
+    "build_bv_tree",
+    "disable_zero_area",
+    "link_tile",
+    "polygon_areas",
+    "quantise_bounds",
 ]
 
 Floats: TypeAlias = npt.NDArray[np.float32]
@@ -230,3 +239,156 @@ def base_reference(poly_count: int) -> int:
     ``ilog2(nextPow2(poly_count))``.
     """
     return 1 << (poly_count - 1).bit_length()
+
+
+# Area in square metres below which Habitat disables a polygon, since walking into one crashes the simulator.
+ZERO_AREA = np.float32(1e-5)
+INTERNAL_SIDE = 0xFF
+
+
+def link_tile(tile: NavMeshTile) -> NavMeshTile:
+    """Return the tile with new links and with its zero-area polygons disabled, as Habitat saves tiles.
+
+    Links are taken from the free list in polygon order, each polygon's edges last to first, and each is put at the head
+    of its polygon's list; the remaining links stay in the free list.
+    """
+    neighbours = tile.neighbours
+    edges = np.arange(neighbours.shape[1])[::-1]
+    poly, column = np.nonzero(neighbours[:, ::-1] >= 0)
+    used = len(poly)
+    if used > len(tile.links):
+        raise ValueError(f"tile has {used} inner edges but room for {len(tile.links)} links")
+    links = np.zeros(len(tile.links), LINK)
+    links["next"] = np.arange(1, len(links) + 1)
+    if len(links):
+        links["next"][-1] = NULL_LINK
+    edge = edges[column]
+    index = np.arange(used)
+    links["ref"][:used] = base_reference(len(tile.polys)) | neighbours[poly, edge]
+    links["edge"][:used] = edge
+    links["side"][:used] = INTERNAL_SIDE
+    same_poly = np.zeros(used, bool)
+    same_poly[1:] = poly[1:] == poly[:-1]
+    links["next"][:used] = np.where(same_poly, index - 1, NULL_LINK)
+    polys = tile.polys.copy()
+    polys["first_link"] = NULL_LINK
+    polys["first_link"][poly] = index  # the last assignment wins: the head of the list
+    return disable_zero_area(tile.with_parts(links=links, polys=polys))
+
+
+def disable_zero_area(tile: NavMeshTile) -> NavMeshTile:
+    """Return the tile with the flags of polygons below 1e-5 m² set to DISABLED."""
+    empty = polygon_areas(tile) < ZERO_AREA
+    if not empty.any():
+        return tile
+    polys: Records = tile.polys.copy()
+    polys["flags"][empty] = DISABLED
+    return tile.with_parts(polys=polys)
+
+
+def polygon_areas(tile: NavMeshTile) -> Floats:
+    """Return the areas (p,) of the polygons in square metres. Each area is summed in float32 over the polygon's detail
+    triangles, in order.
+    """
+    corners, poly = tile.detail_triangles
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]
+    cross = a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+    squares = cross * cross
+    area = np.float32(0.5) * np.sqrt((squares[:, 0] + squares[:, 1]) + squares[:, 2])
+    total = np.zeros(len(tile.polys), np.float32)
+    np.add.at(total, poly, area)  # unbuffered: one float32 addition per triangle, in order
+    return total
+
+
+Cells = npt.NDArray[np.uint16]
+
+
+def quantise_bounds(lower: Floats, upper: Floats, tile_min: Floats, cell_size: float) -> tuple[Cells, Cells]:
+    """Return boxes in whole cells, counted from the tile's lowest corner. The numbers are truncated and clamped to 16
+    bits; Detour uses the cell size in all directions.
+
+    Parameters
+    ----------
+    lower, upper : (p, 3) float32, corners of each polygon's box over its detail vertices
+    tile_min : (3,) float32
+    cell_size : metres
+
+    Returns
+    -------
+    two (p, 3) uint16
+    """
+    factor = np.float32(1.0) / np.float32(cell_size)
+    low = np.clip(((lower - tile_min) * factor).astype(np.int32), 0, 0xFFFF).astype(np.uint16)
+    high = np.clip(((upper - tile_min) * factor).astype(np.int32), 0, 0xFFFF).astype(np.uint16)
+    return low, high
+
+
+def build_bv_tree(lower: Cells, upper: Cells) -> Records:
+    """Return the tree over p boxes, (2p,) of type BV_NODE. The last node stays blank, as in Detour.
+
+    Nodes are in depth-first order. A leaf holds its polygon; an inner node holds the number of nodes to skip, negated.
+    Each node splits its items in the middle after a stable sort by lower bound along the longest axis (ties: x before y
+    before z). Detour calls ``qsort``, which glibc keeps stable; files built on another platform may order ties
+    differently.
+
+    Parameters
+    ----------
+    lower, upper : (p, 3) uint16, from :func:`quantise_bounds`
+    """
+    nodes = np.zeros(2 * len(lower), BV_NODE)
+    order = np.arange(len(lower))
+    if len(lower):
+        _split(nodes, 0, order, 0, len(lower), lower, upper)
+    return nodes
+
+
+def _split(
+    nodes: Records, position: int, order: npt.NDArray[np.int64], begin: int, end: int, lower: Cells, upper: Cells
+) -> int:
+    """Write the subtree over the boxes ``order[begin:end]`` to ``nodes``, beginning at ``position``. Return the
+    position after the subtree.
+    """
+    items = order[begin:end]
+    low, high = lower[items].min(axis=0), upper[items].max(axis=0)
+    nodes["bmin"][position], nodes["bmax"][position] = low, high
+    if len(items) == 1:
+        nodes["i"][position] = items[0]
+        return position + 1
+    axis = int(np.argmax(high - low))
+    order[begin:end] = items[np.argsort(lower[items, axis], kind="stable")]
+    middle = begin + len(items) // 2
+    after_left = _split(nodes, position + 1, order, begin, middle, lower, upper)
+    after = _split(nodes, after_left, order, middle, end, lower, upper)
+    nodes["i"][position] = position - after
+    return after
+
+
+def find_islands(tile: NavMeshTile) -> tuple[Indices, Floats]:
+    """Return the connected component of each polygon (p,) and the radius of each in metres, as habitat-sim's
+    ``IslandSystem`` finds them.
+
+    Flood fill in polygon order, into walkable neighbours only; a polygon that nothing reaches is an island of its own.
+    The radius is the greatest distance between a polygon corner of the island and the mean of all its polygon corners
+    (with repeats, in the order of the fill), in float32.
+    """
+    walkable, sizes = ((tile.polys["flags"] & WALKABLE) != 0).tolist(), tile.polys["vert_count"].tolist()
+    neighbours = tile.neighbours.tolist()
+    verts = tile.poly_verts
+    corners = [verts[poly, :size] for poly, size in enumerate(sizes)]
+    island, radii = [-1] * len(sizes), list[np.float32]()
+    for seed in range(len(sizes)):
+        if island[seed] >= 0:
+            continue
+        island[seed] = len(radii)
+        waiting, members = [seed], []
+        while waiting:
+            members.append(waiting.pop())
+            for other in neighbours[members[-1]]:
+                if other >= 0 and island[other] < 0 and walkable[other]:
+                    island[other] = len(radii)
+                    waiting.append(other)
+        points = tile.verts[np.concatenate([corners[poly] for poly in members])]
+        away = points - np.cumsum(points, axis=0, dtype=np.float32)[-1] / np.float32(len(points))
+        squares = away * away
+        radii.append(np.sqrt((squares[:, 0] + squares[:, 1]) + squares[:, 2]).max())
+    return np.array(island, np.int64), np.array(radii, np.float32)

@@ -1,12 +1,12 @@
 """Relations of a scene: metrics and predicates of all pairs of objects, and the facts that text may use."""
 
-from condvln.relations.compass import CANONICAL, COMPASS, SECTORS
-from condvln.relations.graph import to_networkx
+from condvln.relations.decisions import PAIR_PREDICATES, SEMANTIC
+from condvln.relations.directions import CANONICAL, COMPASS, SECTORS
 from condvln.relations.metrics import PairMetrics, pair_metrics
-from condvln.relations.room import SEMANTIC, RoomRelations, relate_room, relate_scene
-from condvln.relations.surface import MeshOf, surface_distances
-from condvln.relations.table import CONTAINS, relation_table
-from condvln.relations.text import PAIR_PREDICATES, SIZE_PREDICATES, TEXT_PREDICATES, TextFacts, text_facts
+from condvln.relations.room import RoomRelations, relate_room, relate_scene
+from condvln.relations.solids import MeshOf, surface_distances
+from condvln.relations.table import CONTAINS, relation_table, to_networkx
+from condvln.relations.text import SIZE_PREDICATES, TEXT_PREDICATES, TextFacts, text_facts
 
 __all__ = [
     "CANONICAL",

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from condvln.relations.compass import COINCIDENT, canonical_codes
+from condvln.relations.decisions import edges
+from condvln.relations.directions import COINCIDENT, canonical_codes
 from condvln.relations.metrics import PairMetrics, pair_metrics
-from condvln.relations.surface import MeshOf, surface_distances
+from condvln.relations.solids import MeshOf, surface_distances
 from condvln.scene import RoomArrays, Scene
 from schemas.config import Thresholds
 from schemas.errors import StoreError
 
-__all__ = ["SEMANTIC", "RoomRelations", "relate_room", "relate_scene"]
+__all__ = ["RoomRelations", "relate_room", "relate_scene"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-SEMANTIC: Final = ("near", "far from", "higher than", "lower than", "above", "below")
-"""Predicates with an edge of their own if their thresholds hold, besides the one canonical edge of a pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +86,6 @@ class RoomRelations:
             remedy="Compute the scene's relations again",
         )
 
-    @property
-    def subject_above_target(self) -> F64:
-        """(n, n) height in metres of the subject's centre above the target's."""
-        return -self.metrics.delta[..., 1] + 0.0
-
 
 def relate_room(arrays: RoomArrays, thresholds: Thresholds, meshes: MeshOf | None = None) -> RoomRelations:
     """Return the relations of one room.
@@ -117,21 +109,11 @@ def _decide(arrays: RoomArrays, metrics: PairMetrics, surface: F64, thresholds: 
     dy = -metrics.delta[..., 1] + 0.0
     others = ~np.eye(len(arrays), dtype=np.bool_)
     canonical = canonical_codes(metrics.azimuth, metrics.elevation, dy, thresholds.level)
-    over = metrics.horizontal <= thresholds.over_horizontal
-    higher, lower = dy >= thresholds.height, dy <= -thresholds.height
-    semantic = {
-        "near": metrics.used <= thresholds.near,
-        "far from": metrics.used >= thresholds.far,
-        "higher than": higher,
-        "lower than": lower,
-        "above": higher & over,
-        "below": lower & over,
-    }
     return RoomRelations(
         objects=arrays,
         metrics=metrics,
         surface=surface,
         canonical=np.where(others, canonical, COINCIDENT).astype(np.int8),
         degenerate=(metrics.horizontal < thresholds.degenerate_horizontal) & others,
-        semantic={predicate: mask & others for predicate, mask in semantic.items()},
+        semantic={predicate: mask & others for predicate, mask in edges(metrics, thresholds).items()},
     )

@@ -1,7 +1,11 @@
-"""The solid used for an object in surface distances: its mesh, else its oriented box, else its axis-aligned box."""
+"""Surface distances of objects whose boxes are close: FCL's, but for pairs of axis-aligned boxes (closed form).
+
+The solid used for an object is its mesh, else its oriented box, else its axis-aligned box.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final
@@ -11,34 +15,24 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from condvln.formats.distinct_points import distinct_points
 from condvln.formats.glb import GlbGeometry
-from condvln.relations.box_distances import SIGNS
-from condvln.relations.triangle_trees import TriangleTree, tree_order
-from condvln.scene import SceneObject
+from condvln.relations.collision import CollisionBody, asset_body, body_of, box_body
+from condvln.scene import OrientedBox, RoomArrays, SceneObject, round_mm
+from condvln.scene.boxes import aabb_of, box_corners
 from condvln.scene.meshes import WorldMesh
 
-__all__ = ["BoxSolid", "CompoundSolid", "MeshSolid", "Solid", "is_its_aabb", "solid_of"]
+__all__ = [
+    "BoxSolid",
+    "MeshOf",
+    "MeshSolid",
+    "Solid",
+    "is_its_aabb",
+    "solid_distance",
+    "solid_of",
+    "surface_distances",
+]
 
 F64 = NDArray[np.float64]
-
-# Triangles between a box's corners, with outward normals.
-_BOX_FACES: Final = np.array(
-    [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-        [0, 6, 4],
-        [1, 5, 7],
-        [1, 7, 3],
-    ]
-)
 
 AXIS_TOLERANCE: Final = 1e-9
 """A rotation whose entries are within this of 0 or ±1 counts as axis-aligned; 1e-9 rad moves a point at 10 m by 10
@@ -50,13 +44,7 @@ _WINDING_CHUNK: Final = 1 << 20
 
 
 ASSETS_KEPT: Final = 256
-"""Number of assets whose faces are kept in the order of their tree; real assets have 100 kB each or less."""
-
-
-@lru_cache(maxsize=ASSETS_KEPT)
-def _ordered_faces(asset: GlbGeometry) -> NDArray[np.int32]:
-    """Return the faces (m, 3) of an asset in the order of their tree. All scenes that contain the asset share it."""
-    return asset.faces[tree_order(asset.vertices[asset.faces])]
+"""Number of assets whose pieces are kept; real assets have a few."""
 
 
 @lru_cache(maxsize=ASSETS_KEPT)
@@ -67,8 +55,8 @@ def _pieces_of(asset: GlbGeometry) -> NDArray[np.intp]:
 
 def _one_of_each_piece(vertices: F64, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """Return one vertex (p,) of each connected piece of a surface; vertices at equal positions are merged."""
-    first, merged = distinct_points(vertices)
-    corner = merged[faces]
+    _, first, merged = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    corner = merged.reshape(-1)[faces]
     ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]]])
     graph = coo_array((np.ones(len(ends), dtype=bool), (ends[:, 0], ends[:, 1])), shape=(len(first), len(first)))
     piece = connected_components(graph, directed=False)[1]
@@ -81,37 +69,31 @@ def _one_of_each_piece(vertices: F64, faces: NDArray[np.int32]) -> NDArray[np.in
 
 @dataclass(frozen=True, eq=False)
 class BoxSolid:
-    """A box: center (3,), half_extents (3,) metres, rotation (3, 3) with the box's axes as columns."""
+    """A box, or several that overlap or touch, such as an L-shaped counter."""
 
-    center: F64
-    half_extents: F64
-    rotation: F64
+    boxes: tuple[OrientedBox, ...]
 
     @cached_property
-    def vertices(self) -> F64:
-        """(8, 3) corners in the scene's frame."""
-        corners: F64 = self.center + (SIGNS * self.half_extents) @ self.rotation.T
-        return corners
+    def extent(self) -> F64:
+        """(2, 3) [min, max] of all corners."""
+        return aabb_of(np.concatenate([box_corners(box) for box in self.boxes]))
 
     @cached_property
-    def surface(self) -> TriangleTree:
-        """The surface as 12 triangles, for distances to meshes."""
-        return TriangleTree.of(self.vertices[_BOX_FACES])
-
-    @property
-    def has_inside(self) -> bool:
-        """Whether points can lie inside."""
-        return True
+    def bodies(self) -> tuple[CollisionBody, ...]:
+        """The surfaces of all boxes, for distances."""
+        return tuple(map(box_body, self.boxes))
 
     @property
     def pieces(self) -> F64:
-        """(1, 3) one point on each connected piece of the surface."""
-        return self.vertices[:1]
+        """(p, 3) one point on each box."""
+        return np.array([box_corners(box)[0] for box in self.boxes])
 
     def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Return whether each of the points (n, 3) lies inside or on the box."""
-        local = (points - self.center) @ self.rotation
-        return np.asarray((np.abs(local) <= self.half_extents).all(axis=-1), dtype=np.bool_)
+        """Return whether each of the points (n, 3) lies inside or on a box."""
+        inside = np.zeros(len(points), dtype=np.bool_)
+        for box in self.boxes:
+            inside |= (np.abs((points - box.center) @ box.rotation) <= box.half_extents).all(axis=-1)
+        return inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,19 +102,25 @@ class MeshSolid:
 
     mesh: WorldMesh
 
-    @cached_property
-    def surface(self) -> TriangleTree:
-        """The triangles as a tree."""
-        mesh = self.mesh
-        if mesh.asset is not None:
-            return TriangleTree.of(mesh.vertices.take(_ordered_faces(mesh.asset), axis=0))  # faster than an index
-        triangles = mesh.vertices[mesh.faces]
-        return TriangleTree.of(triangles[tree_order(triangles)])
-
     @property
-    def has_inside(self) -> bool:
-        """Whether points can lie inside."""
-        return self.mesh.watertight
+    def _triangles(self) -> F64:
+        """(m, 3, 3) the triangles in the scene's frame."""
+        triangles: F64 = self.mesh.vertices[self.mesh.faces]
+        return triangles
+
+    @cached_property
+    def extent(self) -> F64:
+        """(2, 3) [min, max] of all triangles."""
+        triangles = self._triangles
+        return np.array([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
+
+    @cached_property
+    def bodies(self) -> tuple[CollisionBody, ...]:
+        """The surface, for distances."""
+        mesh = self.mesh
+        if mesh.asset is not None and mesh.pose is not None:
+            return (asset_body(mesh.asset, mesh.pose),)
+        return (body_of(mesh.vertices, mesh.faces),)
 
     @cached_property
     def pieces(self) -> F64:
@@ -151,8 +139,8 @@ class MeshSolid:
         inside = np.zeros(len(points), dtype=np.bool_)
         if not self.mesh.watertight:
             return inside
-        triangles = self.surface.triangles
-        low, high = self.surface.extent
+        triangles = self._triangles
+        low, high = self.extent
         candidates = np.nonzero(((points >= low) & (points <= high)).all(axis=-1))[0]
         step = max(1, _WINDING_CHUNK // len(triangles))
         for start in range(0, len(candidates), step):
@@ -161,33 +149,7 @@ class MeshSolid:
         return inside
 
 
-@dataclass(frozen=True, eq=False)
-class CompoundSolid:
-    """Several boxes that overlap or touch, such as an L-shaped counter."""
-
-    parts: tuple[BoxSolid, ...]
-
-    @cached_property
-    def surface(self) -> TriangleTree:
-        """The surfaces of all parts, 12 triangles each."""
-        return TriangleTree.of(np.concatenate([part.surface.triangles for part in self.parts]))
-
-    @property
-    def has_inside(self) -> bool:
-        """Whether points can lie inside."""
-        return True
-
-    @cached_property
-    def pieces(self) -> F64:
-        """(p, 3) one point on each part."""
-        return np.concatenate([part.pieces for part in self.parts])
-
-    def contains(self, points: F64) -> NDArray[np.bool_]:
-        """Return whether each of the points (n, 3) lies inside or on a part."""
-        return np.asarray(np.any([part.contains(points) for part in self.parts], axis=0), dtype=np.bool_)
-
-
-Solid = BoxSolid | MeshSolid | CompoundSolid
+Solid = BoxSolid | MeshSolid
 
 
 def _winding_number(points: F64, triangles: F64) -> F64:
@@ -209,11 +171,8 @@ def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
     """Return the best known solid of an object whose `aabb` (2, 3) is known."""
     if mesh is not None and len(mesh.faces) > 0:
         return MeshSolid(mesh)
-    if item.parts:
-        return CompoundSolid(tuple(BoxSolid(part.center, part.half_extents, part.rotation) for part in item.parts))
-    if item.obb is not None:
-        return BoxSolid(item.obb.center, item.obb.half_extents, item.obb.rotation)
-    return BoxSolid((aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2, np.eye(3))
+    box = item.obb or OrientedBox((aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2, np.eye(3))
+    return BoxSolid(item.parts or (box,))
 
 
 def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
@@ -226,3 +185,68 @@ def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
         return True
     size = np.abs(item.obb.rotation)
     return bool((np.minimum(size, np.abs(1.0 - size)) <= AXIS_TOLERANCE).all())
+
+
+Indices = NDArray[np.intp]
+
+MeshOf = Callable[[SceneObject], WorldMesh | None]
+"""Returns an object's mesh in the scene's frame, or None if it has none, e.g. `MeshLibrary.world_mesh`."""
+
+
+def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, meshes: MeshOf | None) -> F64:
+    """Return (n, n) surface distances in metres, rounded to 1 mm; NaN where not computed, 0 on the diagonal.
+
+    aabb_distance : (n, n) metres; pairs beyond `within` are not computed (the AABB distance never exceeds the surface
+        distance)
+    meshes : if None, boxes are used for all objects
+
+    Each unordered pair is measured once, in order of object id, so that (i, j) and (j, i) are equal.
+    """
+    distance = np.where(aabb_distance <= within, aabb_distance, np.nan)
+    met = (~np.isnan(distance)).sum(axis=1) > 1  # the object itself and another one
+    found = [
+        meshes(item) if meshes is not None and asked else None for item, asked in zip(arrays.objects, met, strict=True)
+    ]
+    boxes = np.array(
+        [is_its_aabb(item, mesh) for item, mesh in zip(arrays.objects, found, strict=True)], dtype=np.bool_
+    )
+    # Two axis-aligned boxes have the closed form; all other pairs are measured.
+    measured = np.triu(~np.isnan(distance) & ~(boxes[:, None] & boxes[None, :]), k=1)
+    rows, columns = np.nonzero(measured)
+    solids: dict[int, Solid] = {}
+    for k in np.unique(np.concatenate([rows, columns])).tolist():
+        solids[k] = solid_of(arrays.objects[k], np.array([arrays.aabb_min[k], arrays.aabb_max[k]]), found[k])
+    distance[rows, columns] = distance[columns, rows] = _distances(solids, rows, columns)
+    np.fill_diagonal(distance, 0.0)
+    return round_mm(distance)
+
+
+def solid_distance(first: Solid, second: Solid) -> float:
+    """Return the distance of two solids in metres; 0 where they overlap or one contains a piece of the other."""
+    return float(_distances({0: first, 1: second}, np.array([0]), np.array([1]))[0])
+
+
+def _distances(solids: Mapping[int, Solid], rows: Indices, columns: Indices) -> F64:
+    """Return the distances (p,) of pairs of solids in metres; 0 where two overlap or one contains a piece of the other.
+
+    rows, columns : (p,) the keys of each pair's solids
+    """
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    found = np.array(
+        [min(one.distance(other) for one in solids[i].bodies for other in solids[j].bodies) for i, j in pairs]
+    )
+    # Between an object and the box that it lies in, surfaces have a gap, so containment is tested separately.
+    unsure = np.flatnonzero(found > 0.0)
+    extents = np.empty((1 + max(solids, default=0), 2, 3))
+    for k in {*rows[unsure].tolist(), *columns[unsure].tolist()}:
+        extents[k] = solids[k].extent
+    (low, high), (other_low, other_high) = (extents[ends[unsure]].transpose(1, 0, 2) for ends in (rows, columns))
+    unsure = unsure[~((low > other_high) | (other_low > high)).any(axis=1)]
+    for one, other in ((rows[unsure], columns[unsure]), (columns[unsure], rows[unsure])):
+        for k in np.unique(one).tolist():
+            mine = one == k
+            pieces = [solids[n].pieces for n in other[mine].tolist()]
+            inside = solids[k].contains(np.concatenate(pieces))
+            begins = np.cumsum([0, *map(len, pieces[:-1])])
+            found[unsure[mine][np.logical_or.reduceat(inside, begins)]] = 0.0
+    return found

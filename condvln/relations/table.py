@@ -1,4 +1,4 @@
-"""Write the relations of a scene as one flat table; `RoomRelations.from_table` reads them back."""
+"""The relations of a scene as one flat table, which `RoomRelations.from_table` reads back, and as a networkx graph."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+import networkx as nx
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from condvln.relations.compass import CANONICAL, COINCIDENT, COMPASS
+from condvln.relations.decisions import SEMANTIC
+from condvln.relations.directions import CANONICAL, COINCIDENT, COMPASS
 from condvln.relations.metrics import USED_METRICS
-from condvln.relations.room import SEMANTIC, RoomRelations
+from condvln.relations.room import RoomRelations
 from condvln.relations.text import TextFacts, text_facts
 from condvln.scene import Scene
 from schemas.config import Thresholds
 from schemas.tables import RELATIONS, VEC3
 
-__all__ = ["CONTAINS", "relation_table"]
+__all__ = ["CONTAINS", "relation_table", "to_networkx"]
 
 F64 = NDArray[np.float64]
 Codes = NDArray[np.int64]
@@ -197,3 +199,24 @@ def _table(scene_id: str, names: list[str], edges: _Edges) -> pa.Table:
     for name, values in zip(_MEASURES, edges.measures, strict=True):
         columns[name] = pa.array(values, pa.float64(), from_pandas=True)  # NaN becomes null
     return pa.table([columns[field.name] for field in RELATIONS], schema=RELATIONS)
+
+
+def to_networkx(scene: Scene, relations: Mapping[str, RoomRelations], thresholds: Thresholds) -> nx.MultiDiGraph[str]:
+    """Return a directed multigraph: nodes are rooms and objects, edges the rows of the relations table.
+
+    Nodes have ``kind`` (``room`` or ``object``), ``label`` and ``raw_label``; objects also have ``room_id`` and
+    ``center``. Each edge goes from subject to target with its predicate as key (a pair has each predicate at most
+    once), and has the non-null columns of its row as attributes.
+    """
+    graph: nx.MultiDiGraph[str] = nx.MultiDiGraph(scene_id=scene.scene_id, family=scene.family)
+    for room in scene.rooms:
+        graph.add_node(room.room_id, kind="room", label=room.label, raw_label=room.raw_label)
+    for item in scene.objects:
+        center = tuple(item.center.tolist())
+        node = {"label": item.label, "raw_label": item.raw_label, "room_id": item.room_id, "center": center}
+        graph.add_node(item.object_id, kind="object", **node)
+    for row in relation_table(scene, relations, thresholds).to_pylist():
+        subject, target, predicate = (row.pop(key) for key in ("subject", "target", "predicate"))
+        known = {key: value for key, value in row.items() if value is not None and key != "scene_id"}
+        graph.add_edge(subject, target, key=predicate, predicate=predicate, **known)
+    return graph

@@ -1,11 +1,11 @@
 """Generate whole scenes in each source's native format, so that everything runs without a download."""
 
-from condvln.samples.apartment import make_layout
 from condvln.samples.layout import Door, Furniture, Layout, Room, Yaw
 from condvln.samples.maker import (
     FAMILIES,
     FORMS,
     SampleReport,
+    make_layout,
     make_layouts,
     make_samples,
     write_ai2thor_hab,

@@ -1,17 +1,45 @@
-"""The kinds of objects in generated apartments, read from ``catalogue.csv``: label, sizes, shape, placement.
+"""The kinds of objects in generated apartments, read from ``catalogue.csv``: label, sizes, shape, placement; and the
+records of native formats, read from ``records.yaml``.
 
-Every kind comes in a few sizes (variants), so that scenes share models as real datasets do.
+Every kind comes in a few sizes (variants), so that scenes share models as real datasets do. ``native_labels.csv`` has
+the labels in the words of each source family: its class for exactly the labelled object if it has one (AI2-THOR's
+``Fridge``, COCO's ``potted plant`` in Gibson, Matterport3D's raw categories), else the everyday word in its spelling.
 """
 
 from __future__ import annotations
 
 import csv
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
-__all__ = ["VARIANTS", "Kind", "catalogue"]
+import yaml
+
+__all__ = ["VARIANTS", "Kind", "NativeLabel", "catalogue", "class_ids", "native_labels", "record"]
+
+
+@dataclass(frozen=True, slots=True)
+class NativeLabel:
+    """One label in the words of AI2-THOR, Gibson and Matterport3D, with Matterport's mpcat40 index."""
+
+    ai2thor: str
+    gibson: str
+    mp3d: str
+    mpcat40: int
+
+
+@cache
+def native_labels() -> dict[str, NativeLabel]:
+    """Return the native labels, keyed by the catalogue's labels."""
+    text = resources.files("condvln.samples").joinpath("native_labels.csv").read_text(encoding="utf-8")
+    return {
+        row["label"]: NativeLabel(row["ai2thor"], row["gibson"], row["mp3d"], int(row["mpcat40"]))
+        for row in csv.DictReader(text.splitlines())
+    }
+
 
 VARIANTS: Final = 4
 """Number of sizes of each kind."""
@@ -28,7 +56,7 @@ class Kind:
     ----------
     kind, label : its name in the catalogue, and the everyday word used as its class in every dataset
     sizes : (width, height, depth) of each variant, all even, so that half sizes are integers
-    shape : name of its geometry in ``condvln.samples.shapes``
+    shape : name of its geometry in ``condvln.samples.models``
     hang : height of its lower edge if it hangs on a wall, else None
     front : depth kept free in front of it
     turns : may be placed at an angle that is not a multiple of 90°
@@ -99,3 +127,32 @@ def catalogue() -> dict[str, Kind]:
         )
         for number, row in enumerate(csv.DictReader(text.splitlines()), start=1)
     }
+
+
+def class_ids() -> dict[str, int]:
+    """Return the semantic id of each label, from 1, the same for every dataset that is made."""
+    return {name: number for number, name in enumerate(sorted({k.label for k in catalogue().values()}), start=1)}
+
+
+@cache
+def _records() -> dict[str, Any]:
+    text = resources.files("condvln.samples").joinpath("records.yaml").read_text(encoding="utf-8")
+    found: dict[str, Any] = yaml.safe_load(text)
+    return found
+
+
+def record(form: str, **values: Any) -> dict[str, Any]:
+    """Return the record `form` of ``records.yaml`` with each ``{name}`` replaced by the value of that name."""
+    found: dict[str, Any] = _filled(_records()[form], values)
+    return found
+
+
+def _filled(part: Any, values: Mapping[str, Any]) -> Any:
+    if isinstance(part, dict):
+        # Keys that records share are one text, as in records written out in Python: pickles of them are alike.
+        return {sys.intern(_filled(key, values)): _filled(own, values) for key, own in part.items()}
+    if isinstance(part, list):
+        return [_filled(own, values) for own in part]
+    if not isinstance(part, str) or "{" not in part:
+        return part
+    return values[part[1:-1]] if part[1:-1] in values else part.format_map(values)

@@ -8,15 +8,74 @@ through a bathroom, are rejected and drawn again.
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Final, NamedTuple
 
 import shapely
+import yaml
 
-from condvln.samples.rect import Rect
+__all__ = ["MAX_ROOMS", "MIN_ROOMS", "SHARED", "FloorPlan", "PlanDoor", "Rect", "draw_floor_plan", "metres"]
 
-__all__ = ["MAX_ROOMS", "MIN_ROOMS", "SHARED", "FloorPlan", "PlanDoor", "PlanRoom", "draw_floor_plan"]
+
+def metres(millimetres: float) -> float:
+    """Return millimetres as metres, correctly rounded."""
+    return millimetres / 1000
+
+
+class Rect(NamedTuple):
+    """A rectangle over (x, z) in millimetres, given by its lower and upper corner."""
+
+    x0: int
+    z0: int
+    x1: int
+    z1: int
+
+    @property
+    def width(self) -> int:
+        """Extent along x."""
+        return self.x1 - self.x0
+
+    @property
+    def depth(self) -> int:
+        """Extent along z."""
+        return self.z1 - self.z0
+
+    @property
+    def area(self) -> int:
+        """Area in square millimetres."""
+        return self.width * self.depth
+
+    def grown(self, by: int) -> Rect:
+        """Return the rectangle with every side moved outwards by `by` (inwards if negative)."""
+        return Rect(self.x0 - by, self.z0 - by, self.x1 + by, self.z1 + by)
+
+    def overlap(self, other: Rect) -> int:
+        """Return the area of the intersection in square millimetres; 0 if the rectangles only touch."""
+        width = min(self.x1, other.x1) - max(self.x0, other.x0)
+        depth = min(self.z1, other.z1) - max(self.z0, other.z0)
+        return width * depth if width > 0 and depth > 0 else 0
+
+    def moved(self, dx: int, dz: int) -> Rect:
+        """Return the rectangle moved by (dx, dz)."""
+        return Rect(self.x0 + dx, self.z0 + dz, self.x1 + dx, self.z1 + dz)
+
+    def transposed(self) -> Rect:
+        """Return the rectangle with x and z exchanged."""
+        return Rect(self.z0, self.x0, self.z1, self.x1)
+
+    def mirrored(self) -> Rect:
+        """Return the rectangle with x negated."""
+        return Rect(-self.x1, self.z0, -self.x0, self.z1)
+
+    @property
+    def polygon(self) -> shapely.Polygon:
+        """The rectangle as a polygon over (x, z), in millimetres."""
+        return shapely.box(self.x0, self.z0, self.x1, self.z1)
+
 
 MIN_ROOMS: Final = 2
 MAX_ROOMS: Final = 8
@@ -43,56 +102,8 @@ class RoomKind(NamedTuple):
     side: int
 
 
-ROOM_KINDS: Final = {
-    "kitchen": RoomKind((10.0, 15.0), 2700),
-    "living room": RoomKind((18.0, 27.0), 3600),
-    "bedroom": RoomKind((12.0, 18.0), 3100),
-    "bathroom": RoomKind((6.0, 9.0), 2000),
-    "dining room": RoomKind((12.0, 17.0), 3100),
-    "office": RoomKind((9.0, 13.0), 2600),
-    "laundry room": RoomKind((5.5, 8.0), 1900),
-    "hallway": RoomKind((5.0, 20.0), 1500),
-}
-
 MAX_ASPECT: Final = 2.3
 """Largest ratio of longest to shortest side of any cell but a hallway."""
-
-PROGRAMMES: Final[dict[int, tuple[tuple[str, ...], ...]]] = {
-    2: (("living room", "bathroom"), ("bedroom", "bathroom"), ("living room", "kitchen"), ("living room", "bedroom")),
-    3: (
-        ("living room", "kitchen", "bedroom"),
-        ("living room", "bedroom", "bathroom"),
-        ("living room", "kitchen", "office"),
-        ("kitchen", "bedroom", "bathroom"),
-    ),
-    4: (
-        ("living room", "kitchen", "bedroom", "bathroom"),
-        ("living room", "dining room", "kitchen", "bedroom"),
-        ("living room", "bedroom", "bedroom", "bathroom"),
-    ),
-    5: (
-        ("hallway", "living room", "kitchen", "bedroom", "bathroom"),
-        ("living room", "kitchen", "bedroom", "bathroom", "office"),
-        ("living room", "kitchen", "dining room", "bedroom", "bathroom"),
-        ("hallway", "living room", "bedroom", "bedroom", "bathroom"),
-    ),
-    6: (
-        ("hallway", "living room", "kitchen", "bedroom", "bedroom", "bathroom"),
-        ("hallway", "living room", "kitchen", "bedroom", "bathroom", "office"),
-        ("living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom"),
-    ),
-    7: (
-        ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom"),
-        ("hallway", "living room", "kitchen", "bedroom", "bedroom", "bathroom", "bathroom"),
-        ("hallway", "living room", "kitchen", "bedroom", "bathroom", "office", "laundry room"),
-    ),
-    8: (
-        ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom", "bathroom"),
-        ("hallway", "living room", "kitchen", "bedroom", "bedroom", "bathroom", "office", "laundry room"),
-        ("hallway", "living room", "kitchen", "dining room", "bedroom", "bedroom", "bathroom", "office"),
-    ),
-}
-"""Possible room types of an apartment, by number of rooms."""
 
 SHARED: Final = frozenset({"hallway", "living room", "dining room", "kitchen"})
 """Room types that may be passed through; all others are dead ends, except a bedroom with its own bathroom."""
@@ -105,6 +116,23 @@ EXTRA_DOOR_CHANCE: Final = 0.45
 
 CUT_TRIES: Final = 400
 """Largest number of attempts for one list of rooms before it counts as impossible."""
+
+
+class Rooms(NamedTuple):
+    """What apartments may be made of: the size of rooms by type, and the possible room types by number of rooms."""
+
+    kinds: Mapping[str, RoomKind]
+    programmes: Mapping[int, list[list[str]]]
+
+
+@cache
+def known_rooms() -> Rooms:
+    """Return what ``floor_plans.yaml`` says."""
+    found = yaml.safe_load(resources.files("condvln.samples").joinpath("floor_plans.yaml").read_text(encoding="utf-8"))
+    kinds = {label: RoomKind(tuple(kind["area"]), kind["side"]) for label, kind in found["kinds"].items()}
+    # Equal labels are one object: what pickle writes of a Gibson building depends on it.
+    programmes = {n: [[*map(sys.intern, one)] for one in several] for n, several in found["programmes"].items()}
+    return Rooms(kinds, programmes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,14 +189,14 @@ class _Wall(NamedTuple):
 def draw_floor_plan(rng: random.Random, n_rooms: int) -> FloorPlan:
     """Draw a floor plan of `n_rooms` rooms (2 to 8), rotated and mirrored at random, near the origin."""
     while True:
-        programme = rng.choice(PROGRAMMES[n_rooms])
+        programme = rng.choice(known_rooms().programmes[n_rooms])
         cells = _corridor_cells(rng, programme) if "hallway" in programme else _cut_cells(rng, programme)
         if cells is None:
             continue
-        rooms = _placed(rng, cells)
-        doors = _doors(rng, rooms)
+        placed = _placed(rng, cells)
+        doors = _doors(rng, placed)
         if doors is not None:
-            return FloorPlan(rooms, doors)
+            return FloorPlan(placed, doors)
 
 
 def _snapped(value: float) -> int:
@@ -176,11 +204,11 @@ def _snapped(value: float) -> int:
 
 
 def _area(rng: random.Random, label: str) -> float:
-    return rng.uniform(*ROOM_KINDS[label].area) * 1e6
+    return rng.uniform(*known_rooms().kinds[label].area) * 1e6
 
 
 def _fits(room: PlanRoom) -> bool:
-    kind = ROOM_KINDS[room.label]
+    kind = known_rooms().kinds[room.label]
     main = max(room.rects, key=lambda rect: rect.area)
     short, long = sorted((main.width, main.depth))
     return short >= kind.side and (room.label == "hallway" or long <= MAX_ASPECT * short)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Iterator, Mapping
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import orjson
@@ -20,15 +20,14 @@ from numpy.typing import NDArray
 
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.settings import NavMeshSettings
+from condvln.samples.catalogue import native_labels, record
 from condvln.samples.floor_mesh import navmesh_of
-from condvln.samples.glb import Z_UP
 from condvln.samples.layout import Furniture, Layout, Room
-from condvln.samples.native_labels import native_labels
+from condvln.samples.models import Z_UP
 from condvln.samples.solid import layout_glb
 
 __all__ = ["gibson_files", "version_1"]
 
-Form = Literal["scn", "npz"]
 
 CATEGORIES: Final = {"hallway": "corridor", "office": "home_office"}
 """Gibson's names of room types; other types use our names with underscores."""
@@ -37,17 +36,11 @@ Json = dict[str, Any]
 F64 = NDArray[np.float64]
 
 
-def gibson_files(layouts: Mapping[str, Layout], form: Form | None = None) -> Iterator[tuple[str, bytes]]:
-    """Yield all files of the dataset as (path relative to its root, bytes).
-
-    Parameters
-    ----------
-    form : the format of every scene graph; None alternates between both
-    """
+def gibson_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
+    """Yield all files of the dataset as (path relative to its root, bytes); scene graphs in both formats, in turn."""
     for number, (name, layout) in enumerate(layouts.items()):
-        chosen = form or ("scn" if number % 2 == 0 else "npz")
         rooms, objects = _records(layout, building=number + 1)
-        if chosen == "scn":
+        if number % 2 == 0:
             document = {"objects": objects, "rooms": rooms}
             yield f"verified/{name}.scn", orjson.dumps(document, option=orjson.OPT_INDENT_2)
         else:
@@ -84,35 +77,33 @@ def _room(room: Room, ceiling: float, number: int, building: int) -> Json:
     x0, z0, x1, z1 = room.shape.bounds
     low, high = np.array([x0, 0.0, z0]), np.array([x1, ceiling, z1])
     hull = room.shape.convex_hull
-    return {
-        "floor_area": hull.length,
-        "floor_number": "A",
-        "id": number,
-        "location": _z_up((low + high) / 2),
-        "scene_category": CATEGORIES.get(room.label, room.label.replace(" ", "_")),
-        "size": _size(high - low),
-        "volume": hull.area * ceiling,
-        "parent_building": building,
-    }
+    return record(
+        "gibson room",
+        perimeter=hull.length,
+        number=number,
+        location=_z_up((low + high) / 2),
+        category=CATEGORIES.get(room.label, room.label.replace(" ", "_")),
+        size=_size(high - low),
+        volume=hull.area * ceiling,
+        building=building,
+    )
 
 
 def _object(piece: Furniture, number: int, room: int) -> Json:
     extent = np.array(piece.extent)
     hull = piece.footprint
-    return {
-        "action_affordance": ["look at"],
-        "floor_area": hull.length,
-        "surface_coverage": hull.area,
-        "class_": native_labels()[piece.label].gibson,
-        "id": number,
-        "location": _z_up(np.array(piece.center)),
-        "material": None if number % 3 == 0 else ["wood", None] if number % 3 == 1 else ["wood"],
-        "size": _size(extent),
-        "tactile_texture": None,
-        "visual_texture": None,
-        "volume": hull.area * piece.size[1],
-        "parent_room": room,
-    }
+    return record(
+        "gibson object",
+        perimeter=hull.length,
+        area=hull.area,
+        label=native_labels()[piece.label].gibson,
+        number=number,
+        location=_z_up(np.array(piece.center)),
+        material=None if number % 3 == 0 else ["wood", None] if number % 3 == 1 else ["wood"],
+        size=_size(extent),
+        volume=hull.area * piece.size[1],
+        room=room,
+    )
 
 
 def _npz(name: str, number: int, layout: Layout, rooms: list[Json], objects: list[Json]) -> bytes:

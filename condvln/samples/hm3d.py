@@ -21,10 +21,9 @@ from PIL import Image
 
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.floor_mesh import navmesh_of
-from condvln.samples.glb import DECIMALS, ROOT, Z_UP
 from condvln.samples.layout import Layout
-from condvln.samples.solid import CORNERS, FACES, layout_glb, piece_corners
-from condvln.samples.stage import floor_boxes, wall_boxes
+from condvln.samples.models import DECIMALS, ROOT, Z_UP
+from condvln.samples.solid import CORNERS, FACES, floor_boxes, layout_glb, piece_corners, wall_boxes
 
 __all__ = ["hm3d_files"]
 

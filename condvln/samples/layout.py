@@ -123,7 +123,6 @@ class Door:
     The segment runs along x or z in ascending order; `height` is that of the opening. Metres.
     """
 
-    door_id: str
     rooms: tuple[str, str]
     start: tuple[float, float]
     end: tuple[float, float]

@@ -1,23 +1,125 @@
 """Assets for the kinds of the catalogue: GLBs of rigid models with their centres of mass, and URDFs with GLBs of
 articulated kinds.
+
+A piece of furniture is a few boxes: tables have legs, sofas arms, shelves boards. A GLB has one unit cube for each
+name, placed by node transforms below a rotated and translated root: the files test readers, so no node transform is the
+identity, and the vertices alone do not give the extent.
 """
 
 from __future__ import annotations
 
+import csv
+import hashlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
-from condvln.samples.catalogue import Kind
-from condvln.samples.glb import glb_of_boxes
-from condvln.samples.shapes import part_boxes
+from condvln.samples.catalogue import Kind, catalogue, record
+from condvln.samples.layout import Layout
 
-__all__ = ["Model", "articulated_files", "body_size", "model_of"]
+__all__ = [
+    "ROOT",
+    "Z_UP",
+    "Model",
+    "articulated_files",
+    "box_placements",
+    "glb_of_boxes",
+    "glb_of_cubes",
+    "model_of",
+    "part_boxes",
+    "shapes",
+]
 
 F64 = NDArray[np.float64]
+
+ROOT: Final = np.array([[1.0, 0.0, 0.0, 0.25], [0.0, 0.0, 1.0, -0.5], [0.0, -1.0, 0.0, 0.125], [0.0, 0.0, 0.0, 1.0]])
+"""Transform of the root node: z-up, as modelling tools export, with the origin elsewhere."""
+
+Z_UP: Final = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""From Habitat's frame to that of scans: (x, y, z) becomes (x, −z, y)."""
+
+PALE: Final = 0.35
+"""Least brightness of a colour; the rest follows from the name."""
+
+DECIMALS: Final = 9
+"""Decimals in metres kept of a node's transform."""
+
+
+def box_placements(boxes: F64) -> F64:
+    """Return the transforms (n, 4, 4) that turn the unit cube about the origin into the boxes (n, 2, 3). A box is given
+    by its lower and upper corner.
+    """
+    placements = np.zeros((len(boxes), 4, 4))
+    placements[:, [0, 1, 2], [0, 1, 2]] = boxes[:, 1] - boxes[:, 0]
+    placements[:, :3, 3] = (boxes[:, 0] + boxes[:, 1]) / 2
+    placements[:, 3, 3] = 1.0
+    return placements
+
+
+def glb_of_boxes(parts: Mapping[str, F64]) -> bytes:
+    """Return a binary glTF of axis-aligned boxes (n, 2, 3), metres, by name; see `glb_of_cubes`."""
+    return glb_of_cubes({name: box_placements(boxes) for name, boxes in parts.items()})
+
+
+def glb_of_cubes(parts: Mapping[str, F64], frame: F64 | None = None) -> bytes:
+    """Return a binary glTF of placed unit cubes.
+
+    Parameters
+    ----------
+    parts : name to (n, 4, 4) transforms of the unit cube, metres; each name becomes a mesh with its own colour
+    frame : (4, 4) from the frame of `parts` to the file's; identity if None
+    """
+    scene = trimesh.Scene()
+    scene.graph.update(frame_from="world", frame_to="root", matrix=ROOT)
+    back = np.linalg.inv(ROOT) if frame is None else np.linalg.inv(ROOT) @ frame
+    for name, placements in parts.items():
+        cube = trimesh.creation.box()
+        cube.metadata.clear()
+        cube.visual = trimesh.visual.TextureVisuals(material=_material(name))
+        scene.geometry[name] = cube
+        for number, place in enumerate(placements):
+            matrix = np.round(back @ place, DECIMALS)
+            scene.graph.update(frame_from="root", frame_to=f"{name}.{number}", matrix=matrix, geometry=name)
+    return bytes(scene.export(file_type="glb"))
+
+
+def _material(name: str) -> trimesh.visual.material.PBRMaterial:
+    shade = np.frombuffer(hashlib.sha256(name.encode()).digest()[:3], np.uint8) / 255
+    colour = [*(float(round(PALE + (1 - PALE) * s, 3)) for s in shade), 1.0]
+    return trimesh.visual.material.PBRMaterial(
+        name=name, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.9
+    )
+
+
+@cache
+def shapes() -> dict[str, F64]:
+    """Return the parts of each shape of the catalogue, from ``shapes.csv``: boxes (n, 2, 3) in the unit cube.
+
+    A part is given by shares of width, height (up) and depth (the front is z = 1). Every shape touches all six faces of
+    the cube and has one part that spans the whole plan, so that a rotated piece has the extent of its box.
+    """
+    text = resources.files("condvln.samples").joinpath("shapes.csv").read_text(encoding="utf-8")
+    parts: dict[str, list[list[list[float]]]] = {}
+    for shape, *bounds in list(csv.reader(text.splitlines()))[1:]:
+        x0, x1, y0, y1, z0, z1 = map(float, bounds)
+        parts.setdefault(shape, []).append([[x0, y0, z0], [x1, y1, z1]])
+    return {shape: np.array(boxes) for shape, boxes in parts.items()}
+
+
+def part_boxes(shape: str, size: tuple[float, float, float]) -> F64:
+    """Return the parts of a piece of furniture of the given `size` as boxes (n, 2, 3): lower and upper corners, in
+    metres from the centre of the piece.
+    """
+    boxes: F64 = (shapes()[shape] - 0.5) * np.array(size)
+    return boxes
+
 
 COM_EVERY: Final = 4
 """One kind in this many has a centre of mass that differs from its asset's origin."""
@@ -49,6 +151,17 @@ def model_of(kind: Kind, variant: int) -> Model:
     com = np.round(center / 2, 4) if kind.number % COM_EVERY == 0 else np.zeros(3)
     glb = glb_of_boxes({kind.kind: part_boxes(kind.shape, (width, height, depth)) + center})
     return Model(center, com, glb)
+
+
+def models_of(layouts: Iterable[Layout]) -> dict[tuple[str, int], Model]:
+    """Return the models of all rigid furniture by kind and variant, in this order."""
+    used = sorted({(piece.kind, piece.variant) for layout in layouts for piece in layout.furniture})
+    return {key: model_of(catalogue()[key[0]], key[1]) for key in used if catalogue()[key[0]].urdf is None}
+
+
+def bodies() -> list[Kind]:
+    """Return the articulated kinds of the catalogue."""
+    return [kind for kind in catalogue().values() if kind.urdf is not None]
 
 
 def body_size(kind: Kind) -> tuple[float, float, float]:
@@ -85,41 +198,11 @@ def _to_link(boxes: F64) -> F64:
 
 
 def _urdf(name: str, origins: dict[str, F64]) -> str:
-    lines = ['<?xml version="1.0" ?>', f"<robot name={quoteattr(name)}>", '  <link name="root"/>']
-    lines += [
-        '  <joint name="root_rotation" type="fixed">',
-        '    <origin rpy="1.5707963267948966 0 0" xyz="0 0 0"/>',
-        '    <parent link="root"/>',
-        '    <child link="body"/>',
-        "  </joint>",
-    ]
+    parts = []
     for link, origin in origins.items():
         x, y, z = np.round([origin[0], origin[2], -origin[1]], 6) + 0.0
         if link != "body":
-            swing = ("0", "2.3") if link.startswith("right") else ("-2.3", "0")
-            lines += [
-                f'  <joint name="{link}_hinge" type="revolute">',
-                f'    <origin rpy="0 0 0" xyz="{x} {y} {z}"/>',
-                '    <parent link="body"/>',
-                f'    <child link="{link}"/>',
-                '    <axis xyz="0 0 1"/>',
-                f'    <limit effort="44.4" lower="{swing[0]}" upper="{swing[1]}" velocity="40"/>',
-                "  </joint>",
-            ]
-        lines += [
-            f'  <link name="{link}">',
-            "    <inertial>",
-            '      <origin rpy="0 0 0" xyz="0 0 0"/>',
-            '      <mass value="10.0"/>',
-            '      <inertia ixx="1.0" ixy="0" ixz="0" iyy="1.0" iyz="0" izz="1.0"/>',
-            "    </inertial>",
-            "    <visual>",
-            '      <origin rpy="0 0 0" xyz="0 0 0"/>',
-            "      <geometry>",
-            # ReplicaCAD separates the numbers of a scale by commas, and so do we.
-            f'        <mesh filename="{link}.glb" scale="1, 1, 1"/>',
-            "      </geometry>",
-            "    </visual>",
-            "  </link>",
-        ]
-    return "\n".join([*lines, "</robot>", ""])
+            lower, upper = ("0", "2.3") if link.startswith("right") else ("-2.3", "0")
+            parts.append(record("urdf hinge", link=link, x=x, y=y, z=z, lower=lower, upper=upper)["xml"])
+        parts.append(record("urdf link", link=link)["xml"])
+    return str(record("urdf robot", name=quoteattr(name), links="\n".join(parts))["xml"]) + "\n"

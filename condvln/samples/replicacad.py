@@ -8,7 +8,7 @@ configuration, ``navmeshes_default/`` is for Habitat's default agent of 0.1 m.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -16,14 +16,13 @@ import orjson
 from numpy.typing import NDArray
 
 from condvln.navigation.settings import NavMeshSettings
-from condvln.samples.catalogue import catalogue
+from condvln.samples.catalogue import catalogue, class_ids, record
 from condvln.samples.floor_mesh import NavmeshEngine, navmesh_of
-from condvln.samples.glb import glb_of_boxes
 from condvln.samples.layout import Furniture, Layout, Room
-from condvln.samples.models import Model, articulated_files, model_of
-from condvln.samples.stage import floor_boxes, wall_boxes
+from condvln.samples.models import Model, articulated_files, bodies, glb_of_boxes, models_of
+from condvln.samples.solid import floor_boxes, wall_boxes
 
-__all__ = ["articulated_record", "numbers", "region_record", "replicacad_files", "wxyz"]
+__all__ = ["articulated_records", "numbers", "region_record", "replicacad_files", "wxyz"]
 
 DATASET: Final = "made"
 """Name of the dataset and prefix of its models."""
@@ -45,33 +44,30 @@ def replicacad_files(layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "po
     layouts : scene name to layout; a scene's files depend only on its own layout and name
     navmesh : how the navmeshes are made, see ``navmesh_of``
     """
-    yield f"{DATASET}.scene_dataset_config.json", _json(_dataset_config(list(layouts)))
-    yield f"configs/ssd/{LEXICON}.json", _json({"classes": [{"name": n, "id": i} for n, i in _class_ids().items()]})
-    yield f"configs/lighting/{DATASET}.lighting_config.json", _json(_lighting())
-    models: dict[str, Model] = {}
-    for kind, variant in sorted({(p.kind, p.variant) for layout in layouts.values() for p in layout.furniture}):
-        row = catalogue()[kind]
-        if row.urdf is None:
-            model = models[f"{kind}_{variant:02d}"] = model_of(row, variant)
-            name = f"{DATASET}_{kind}_{variant:02d}"
-            yield f"objects/{name}.glb", model.glb
-            yield f"configs/objects/{name}.object_config.json", _json(_object_config(name, row.label, model))
-    for row in catalogue().values():
-        if row.urdf is not None:
-            for file, content in articulated_files(row).items():
-                yield f"urdf/{row.urdf}/{file}", content
-            yield f"urdf/{row.urdf}/{row.urdf}.ao_config.json", _json({"user_defined": {}})
+    yield f"{DATASET}.scene_dataset_config.json", _json(_dataset_config(layouts))
+    yield f"configs/ssd/{LEXICON}.json", _json({"classes": [{"name": n, "id": i} for n, i in class_ids().items()]})
+    yield f"configs/lighting/{DATASET}.lighting_config.json", _json(record("replicacad lighting"))
+    models = models_of(layouts.values())
+    for (kind, variant), model in models.items():
+        name, number = f"{DATASET}_{kind}_{variant:02d}", class_ids()[catalogue()[kind].label]
+        yield f"objects/{name}.glb", model.glb
+        config = record("replicacad object", name=name, com=numbers(model.com), number=number)
+        yield f"configs/objects/{name}.object_config.json", _json(config)
+    for body in bodies():
+        for file, content in articulated_files(body).items():
+            yield f"urdf/{body.urdf}/{file}", content
+        yield f"urdf/{body.urdf}/{body.urdf}.ao_config.json", _json({"user_defined": {}})
     for name, layout in layouts.items():
         yield from _scene_files(name, layout, models, navmesh)
 
 
 def _scene_files(
-    name: str, layout: Layout, models: Mapping[str, Model], navmesh: NavmeshEngine
+    name: str, layout: Layout, models: Mapping[tuple[str, int], Model], navmesh: NavmeshEngine
 ) -> Iterator[tuple[str, bytes]]:
     stage = f"Stage_{name}"
     shell = glb_of_boxes({"floor": floor_boxes(layout), "walls": wall_boxes(layout)})
     yield f"stages/{stage}.glb", shell
-    yield f"configs/stages/{stage}.stage_config.json", _json(_stage_config(stage))
+    yield f"configs/stages/{stage}.stage_config.json", _json(record("replicacad stage", stage=stage))
     yield f"configs/scenes/{name}.scene_instance.json", _json(_scene_instance(name, layout, models))
     regions = {"region_annotations": [region_record(room, layout.ceiling) for room in layout.rooms]}
     described = {"semantic_descriptor_filename": f"../ssd/{LEXICON}.json", **regions}
@@ -85,73 +81,15 @@ def _json(document: Json) -> bytes:
     return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
 
 
-def _class_ids() -> dict[str, int]:
-    """Return semantic ids by class name, the same for every dataset of this kind."""
-    return {name: number for number, name in enumerate(sorted({k.label for k in catalogue().values()}), start=1)}
+def _dataset_config(names: Iterable[str]) -> Json:
+    navmeshes = {name: f"navmeshes/{name}.navmesh" for name in names}
+    return record("replicacad dataset", dataset=DATASET, lexicon=LEXICON, navmeshes=navmeshes)
 
 
-def _dataset_config(names: list[str]) -> Json:
-    return {
-        "stages": {"paths": {".json": ["configs/stages"]}},
-        "objects": {"paths": {".json": ["configs/objects"]}},
-        "articulated_objects": {"paths": {".urdf": ["urdf/*/"]}},
-        "light_setups": {"paths": {".json": ["configs/lighting"]}},
-        "scene_instances": {
-            "default_attributes": {"semantic_scene_instance": f"{DATASET}_ssd_map"},
-            "paths": {".json": ["configs/scenes"]},
-        },
-        "navmesh_instances": {name: f"navmeshes/{name}.navmesh" for name in names},
-        "semantic_scene_descriptor_instances": {
-            "paths": {".json": ["configs/semantics"]},
-            f"{DATASET}_ssd_map": f"configs/ssd/{LEXICON}.json",
-        },
-    }
-
-
-def _lighting() -> Json:
-    return {"lights": {"0": {"type": "point", "position": [0.0, 2.3, 0.0], "intensity": 1.2, "color": [1.0, 1.0, 1.0]}}}
-
-
-def _object_config(name: str, label: str, model: Model) -> Json:
-    return {
-        "render_asset": f"../../objects/{name}.glb",
-        "collision_asset": f"../../objects/{name}.glb",
-        "mass": 10.0,
-        "COM": numbers(model.com),
-        "join_collision_meshes": False,
-        "semantic_id": _class_ids()[label],
-    }
-
-
-def _stage_config(stage: str) -> Json:
-    return {
-        "render_asset": f"../../stages/{stage}.glb",
-        "up": [0, 1, 0],
-        "front": [0, 0, -1],
-        "requires_lighting": True,
-        "margin": 0.01,
-        "friction_coefficient": 0.8,
-        "restitution_coefficient": 0.0,
-    }
-
-
-def _scene_instance(name: str, layout: Layout, models: Mapping[str, Model]) -> Json:
+def _scene_instance(name: str, layout: Layout, models: Mapping[tuple[str, int], Model]) -> Json:
     rigid = [p for p in layout.furniture if catalogue()[p.kind].urdf is None]
-    bodies = [p for p in layout.furniture if catalogue()[p.kind].urdf is not None]
-    return {
-        "translation_origin": "asset_local",
-        "stage_instance": {
-            "template_name": f"Stage_{name}",
-            "translation": [0.0, 0.0, 0.0],
-            "rotation": [1.0, 0.0, 0.0, 0.0],
-            "translation_origin": "COM",
-        },
-        "default_lighting": f"lighting/{DATASET}",
-        "navmesh_instance": name,
-        "semantic_scene_instance": name,
-        "object_instances": [_placed(piece, models[piece.model], number) for number, piece in enumerate(rigid)],
-        "articulated_object_instances": [articulated_record(piece) for piece in bodies],
-    }
+    placed = [_placed(piece, models[piece.kind, piece.variant], number) for number, piece in enumerate(rigid)]
+    return record("replicacad scene", name=name, dataset=DATASET, rigid=placed, bodies=articulated_records(layout))
 
 
 def _placed(piece: Furniture, model: Model, number: int) -> Json:
@@ -173,19 +111,19 @@ def _placed(piece: Furniture, model: Model, number: int) -> Json:
     return instance
 
 
-def articulated_record(piece: Furniture) -> Json:
-    """Return the record of an articulated piece of furniture in a scene instance."""
-    kind = catalogue()[piece.kind]
-    return {
-        "template_name": kind.urdf,
-        "fixed_base": True,
-        "auto_clamp_joint_limits": True,
-        "translation_origin": "COM",
-        "motion_type": "DYNAMIC",
-        "translation": numbers(np.array(piece.center)),
-        "rotation": wxyz(piece),
-        "uniform_scale": kind.scales[piece.variant],
-    }
+def articulated_records(layout: Layout) -> list[Json]:
+    """Return the records of the articulated pieces of furniture in a scene instance."""
+    return [
+        record(
+            "articulated piece",
+            urdf=kind.urdf,
+            center=numbers(np.array(piece.center)),
+            rotation=wxyz(piece),
+            scale=kind.scales[piece.variant],
+        )
+        for piece in layout.furniture
+        if (kind := catalogue()[piece.kind]).urdf is not None
+    ]
 
 
 def wxyz(piece: Furniture) -> list[float]:
@@ -197,15 +135,15 @@ def wxyz(piece: Furniture) -> list[float]:
 def region_record(room: Room, ceiling: float) -> Json:
     """Return a room as an entry of ``region_annotations``; `ceiling` is its height in metres."""
     low_x, low_z, high_x, high_z = room.shape.bounds
-    return {
-        "name": room.room_id,
-        "label": room.label,
-        "poly_loop": [[x, 0.0, z] for x, z in room.polygon],
-        "floor_height": 0.0,
-        "extrusion_height": ceiling,
-        "min_bounds": [low_x, 0.0, low_z],
-        "max_bounds": [high_x, ceiling, high_z],
-    }
+    return record(
+        "region",
+        name=room.room_id,
+        label=room.label,
+        loop=[[x, 0.0, z] for x, z in room.polygon],
+        ceiling=ceiling,
+        low=[low_x, 0.0, low_z],
+        high=[high_x, ceiling, high_z],
+    )
 
 
 def numbers(vector: F64) -> list[float]:

@@ -15,8 +15,8 @@ import numpy as np
 import shapely
 
 from condvln.samples.catalogue import Kind
+from condvln.samples.floor_plan import Rect
 from condvln.samples.layout import Yaw
-from condvln.samples.rect import Rect
 
 __all__ = ["BLOCKING_HEIGHT", "DoorZone", "Edge", "Piece", "RoomSpace", "opened"]
 

@@ -2,7 +2,7 @@
 
 There is one JSON file per scene: ``{"sceneName", "objects"}``. Every object has its axis-aligned box, and an oriented
 box if an agent can pick it up or move it; ``position`` is the prefab's pivot, not the centre of its box; structure has
-no asset. Angles and axes are Unity's (``condvln.samples.unity``).
+no asset. Angles and axes are Unity's (``condvln.samples.procthor``).
 """
 
 from __future__ import annotations
@@ -16,13 +16,11 @@ import orjson
 import shapely
 from numpy.typing import NDArray
 
-from condvln.samples.catalogue import catalogue
-from condvln.samples.free_floor import free_floor
+from condvln.samples.catalogue import catalogue, native_labels, record
+from condvln.samples.floor_mesh import free_floor
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout, Room
-from condvln.samples.native_labels import native_labels
-from condvln.samples.procthor import primary_property
-from condvln.samples.stage import wall_boxes
-from condvln.samples.unity import UnityFrame
+from condvln.samples.procthor import UnityFrame, primary_property
+from condvln.samples.solid import wall_boxes
 from schemas.errors import UsageError
 
 __all__ = ["ithor_files", "robothor_files"]
@@ -170,29 +168,18 @@ def _record(kind: str, pivot: Mapping[str, float], rotation: Json, box: F64) -> 
     low, high = box.tolist()
     corners = [[x, y, -z + 0.0] for x in (high[0], low[0]) for y in (high[1], low[1]) for z in (low[2], high[2])]
     size = dict(zip("xyz", np.round(box[1] - box[0], 6).tolist(), strict=True))
-    return {
-        "name": _id(kind, pivot).replace("|", "_"),
-        "objectId": _id(kind, pivot),
-        "objectType": kind,
-        "assetId": "",
-        "position": dict(pivot),
-        "rotation": rotation,
-        "visible": False,
-        "receptacle": False,
-        "pickupable": False,
-        "moveable": False,
-        "openable": False,
-        "isOpen": False,
-        "openness": 0.0,
-        "parentReceptacles": None,
-        "receptacleObjectIds": None,
-        "axisAlignedBoundingBox": {
-            "cornerPoints": corners,
-            "center": frame.point(*((box[0] + box[1]) / 2).tolist()),
-            "size": size,
-        },
-        "objectOrientedBoundingBox": None,
-    }
+    found: Json = record(
+        "thor object",
+        name=_id(kind, pivot).replace("|", "_"),
+        id=_id(kind, pivot),
+        kind=kind,
+        pivot=dict(pivot),
+        rotation=rotation,
+        corners=corners,
+        center=frame.point(*((box[0] + box[1]) / 2).tolist()),
+        size=size,
+    )
+    return found
 
 
 def _oriented(piece: Furniture) -> list[list[float]]:

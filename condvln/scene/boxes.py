@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from condvln.scene.quaternions import stored_matrix, stored_quaternion
+from condvln.scene.rotations import stored_matrix, stored_quaternion
 from condvln.scene.scene import OrientedBox, round_mm
 
 __all__ = ["aabb_of", "box_corners", "corners", "oriented_box", "placement", "rounded_box", "transform_points"]

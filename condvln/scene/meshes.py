@@ -1,23 +1,33 @@
-"""Read the meshes of a dataset on demand, with a bounded cache."""
+"""Read the meshes of a dataset on demand, with a bounded cache; transforms of glTF nodes and texture coordinates."""
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES, GlbGeometry, read_glb
-from condvln.scene.boxes import transform_points
+from condvln.formats.glb_part import GlbPart
+from condvln.scene.boxes import placement, transform_points
+from condvln.scene.rotations import to_matrix
 from condvln.scene.scene import MeshPart, SceneObject
 
-__all__ = ["CACHE_BYTES", "MeshLibrary", "WorldMesh", "shared_library"]
+__all__ = [
+    "CACHE_BYTES",
+    "MeshLibrary",
+    "WorldMesh",
+    "coordinates_of",
+    "shared_library",
+    "world_transforms",
+]
 
 CACHE_BYTES: Final = 192 << 20
 """Size limit of the cache of decoded geometry; all of ReplicaCAD's objects take 40 MB, and a worker has 1 GiB."""
@@ -163,3 +173,48 @@ def shared_library(root: Path) -> MeshLibrary:
 @lru_cache(maxsize=4)
 def _library(root: Path, resolved: Path) -> MeshLibrary:
     return MeshLibrary(root)
+
+
+_TRANSFORM: Final = "KHR_texture_transform"
+
+F64 = NDArray[np.float64]
+
+
+def world_transforms(part: GlbPart) -> list[F64]:
+    """Return for each node the (4, 4) transform from its frame to the root's. In `part.nodes`, parents come before
+    their children.
+    """
+    world = [_local(node.transform) for node in part.nodes]
+    for number, node in enumerate(part.nodes):
+        for child in node.children:
+            world[child] = world[number] @ world[child]
+    return world
+
+
+def _local(transform: dict[str, list[float]]) -> F64:
+    if "matrix" in transform:
+        matrix: F64 = np.array(transform["matrix"], np.float64).reshape(4, 4).T
+        return matrix
+    rotation = to_matrix(transform["rotation"]) if "rotation" in transform else None
+    return placement(rotation, transform.get("translation"), transform.get("scale"))
+
+
+def coordinates_of(slot: dict[str, Any]) -> tuple[str, F64]:
+    """Return the attribute with the texture coordinates that a material's texture uses, and the (3, 3) transform of
+    these coordinates (``KHR_texture_transform``).
+    """
+    moved = slot.get("extensions", {}).get(_TRANSFORM, {})
+    return f"TEXCOORD_{moved.get('texCoord', slot.get('texCoord', 0))}", _moved(moved)
+
+
+def _moved(transform: dict[str, Any]) -> F64:
+    """Return the (3, 3) matrix of KHR_texture_transform: scale, then rotate counter-clockwise in the image, then
+    translate.
+    """
+    angle = float(transform.get("rotation", 0.0))
+    cosine, sine = math.cos(angle), math.sin(angle)
+    across, down = transform.get("scale", (1.0, 1.0))
+    matrix = np.eye(3)
+    matrix[:2, :2] = np.array([[cosine, sine], [-sine, cosine]]) @ np.diag([across, down])
+    matrix[:2, 2] = transform.get("offset", (0.0, 0.0))
+    return matrix

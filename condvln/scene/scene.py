@@ -1,4 +1,4 @@
-"""The Scene in memory: rooms and objects as plain frozen records over numpy arrays.
+"""The Scene in memory: rooms and objects as plain frozen records over numpy arrays, its surfaces, limits and colours.
 
 Frame: Habitat's (metres, +Y up, −Z north). Positions are rounded to 1 mm when a record is made, and all later steps
 use the rounded values, so that stored data gives the same results again.
@@ -6,25 +6,41 @@ use the rounded values, so that stored data gives the same results again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.config import LimitsConfig
+from schemas.errors import LimitError
+
 __all__ = [
+    "EVERYTHING_SEEN",
+    "FLOOR_COLOUR",
     "MILLIMETRE_DECIMALS",
+    "STRUCTURE",
+    "WALL_COLOUR",
+    "Colour",
     "MeshPart",
     "NavmeshFile",
     "OrientedBox",
     "Room",
     "RoomArrays",
     "Scene",
+    "SceneGeometry",
     "SceneObject",
     "SceneWarning",
+    "Sightings",
+    "check_limits",
+    "label_colour",
+    "layout_of",
     "round_mm",
 ]
 
@@ -247,3 +263,108 @@ class Scene:
         """Return the objects of one room as arrays."""
         held = (o for o in self.objects if o.room_id == room_id)
         return RoomArrays.of(room_id, held, self.room_of[room_id].floor_y if room_id in self.room_of else float("nan"))
+
+
+STRUCTURE = -1
+"""Owner of a triangle that belongs to no object: floor, wall, door, or a scan that is a single mesh."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneGeometry:
+    """Triangles in Habitat's frame (metres, +Y up).
+
+    vertices : (n, 3)
+    faces : (m, 3) indices of vertices, counter-clockwise seen from outside
+    owner : (m,) index into the scene's ``objects`` of each face's object, `STRUCTURE` if it has none
+    approximate : boxes and generated walls replace surfaces; recorded with all derived results
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    approximate: bool
+
+
+def check_limits(scene: Scene, limits: LimitsConfig) -> None:
+    """Compare a scene's counts with the limits.
+
+    Raises
+    ------
+    LimitError : a count exceeds its limit; the message names the room, both numbers and the key to change
+    """
+    _at_most(limits, "objects_per_scene", len(scene.objects), "objects", scene)
+    _at_most(limits, "rooms_per_scene", len(scene.rooms), "rooms", scene)
+    for room in scene.rooms:
+        if room.polygon is not None:
+            _at_most(limits, "corners_per_room", len(room.polygon), "corners of its outline", scene, room.room_id)
+    counts = Counter(item.room_id for item in scene.objects)
+    for room_id, count in sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])):
+        _at_most(limits, "objects_per_room", count, "objects", scene, room_id)
+    pairs = sum(count * count for count in counts.values())
+    _at_most(limits, "pairs_per_scene", pairs, "pairs of objects that share a room", scene)
+
+
+def _at_most(limits: LimitsConfig, key: str, count: int, what: str, scene: Scene, room_id: str = "") -> None:
+    limit: int = getattr(limits, key)
+    if count <= limit:
+        return
+    raise LimitError(
+        f"{count} {what}, and limits.{key} is {limit}",
+        where=f"{scene.family}/{scene.scene_id}",
+        place=f"room {room_id!r}" if room_id else "",
+        remedy=f"Raise limits.{key} if this machine has the memory, or exclude the scene",
+    )
+
+
+# ReplicaCAD has 21 variants of each of its layouts (Szot et al. 2021), RoboTHOR five of each apartment (Deitke et al.
+# 2020).
+_STAGING: Final = re.compile(r"(v\d+_sc\d+)_staging_\d+|(FloorPlan_(?:Train|Val|Test)\d+)_\d+(?:_physics)?")
+
+
+@lru_cache(maxsize=1024)
+def layout_of(scene_id: str) -> str:
+    """Return the name of a scene's layout; empty if the scene is not known to be one of several variants."""
+    found = _STAGING.fullmatch(scene_id)
+    return "" if found is None else found[1] or found[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Ids of objects that certainly or perhaps can't be seen from where an agent can stand. All other objects can be
+    seen.
+
+    unseen : certainly not visible; they do not make a word ambiguous
+    doubtful : perhaps visible; text uses no word that might mean them
+    degrees : by id of what is recognised from somewhere, how large it appears there (`SceneView.degrees`)
+    """
+
+    unseen: frozenset[str] = frozenset()
+    doubtful: frozenset[str] = frozenset()
+    degrees: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def hidden(self, arrays: RoomArrays) -> NDArray[np.bool_]:
+        """Return whether each object of a room can't be seen, (n,) bool. This includes objects in shut containers."""
+        return np.asarray(arrays.hidden | np.array([name in self.unseen for name in arrays.object_ids], dtype=bool))
+
+    def in_doubt(self, arrays: RoomArrays) -> NDArray[np.bool_]:
+        """Return whether each object of a room is in `doubtful` and not in a shut container, (n,) bool."""
+        return np.asarray(~arrays.hidden & np.array([name in self.doubtful for name in arrays.object_ids], dtype=bool))
+
+
+EVERYTHING_SEEN: Final = Sightings()
+"""Every object is visible, except inside shut containers."""
+
+
+Colour = tuple[float, float, float]
+"""Red, green and blue in [0, 1]."""
+
+FLOOR_COLOUR: Final[Colour] = (0.62, 0.55, 0.47)
+WALL_COLOUR: Final[Colour] = (0.88, 0.87, 0.84)
+PALE: Final = 0.35
+"""Least brightness of an object's colour; hue and saturation follow from its label."""
+
+
+def label_colour(label: str) -> Colour:
+    """Return the colour of a label."""
+    red, green, blue = (PALE + (1 - PALE) * b / 255 for b in hashlib.sha256(label.encode()).digest()[:3])
+    return round(red, 3), round(green, 3), round(blue, 3)

@@ -2,11 +2,9 @@
 images.
 """
 
-from condvln.sensors.camera import PRESETS, cameras_of, panorama
-from condvln.sensors.noise import noisy_move, noisy_pose
+from condvln.sensors.camera import PRESETS, cameras_of, noisy_move, noisy_pose, panorama
 from condvln.sensors.renderer import Frame, Renderer, measured_depth, open_renderer
-from condvln.sensors.seen_things import SeenThing
-from condvln.sensors.text import KnownMap, TextObservation, TextSensor
+from condvln.sensors.text import KnownMap, SeenThing, TextObservation, TextSensor
 
 __all__ = [
     "PRESETS",

@@ -1,22 +1,43 @@
-"""The pose of a camera, and the camera presets of published agents."""
+"""The pose of a camera, and the camera presets of published agents; and noise of pose estimates and of actuation, which
+depends on a seed and names, never on the time.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
-from condvln.scene.quaternions import rotation_x, rotation_y
-from schemas.config import CameraConfig
+from condvln.scene.rotations import rotation_x, rotation_y
+from condvln.seeding import generator
+from schemas.config import CameraConfig, NoiseConfig
 from schemas.errors import UsageError
 
-__all__ = ["PRESETS", "camera_pose", "cameras_of", "half_extents", "panorama", "pixel_rays"]
+__all__ = ["PRESETS", "camera_pose", "cameras_of", "half_extents", "noisy_move", "noisy_pose", "panorama", "pixel_rays"]
 
 F64 = NDArray[np.float64]
+
+
+def noisy_pose(
+    position: npt.ArrayLike, heading: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
+) -> tuple[F64, float]:
+    """Return a pose with noise: position (3,) in metres, shifted horizontally, and heading in radians."""
+    east, south, turn = generator(seed, "pose", *names).normal(size=3)
+    believed = np.asarray(position, np.float64) + noise.position * np.array([east, 0.0, south])
+    return believed, (heading + math.radians(noise.heading) * turn) % (2 * math.pi)
+
+
+def noisy_move(
+    forward: float, turn: float, noise: NoiseConfig, seed: int, names: Sequence[object] = ()
+) -> tuple[float, float]:
+    """Return the forward step (metres) and the turn (radians), each with a random relative error."""
+    step, angle = generator(seed, "move", *names).normal(size=2)
+    return max(0.0, forward * (1 + noise.step * step)), turn * (1 + noise.turn * angle)
+
 
 _STREAMVLN: Final = CameraConfig(width=640, height=480, hfov=79.0)
 PANORAMA_ROWS: Final = (30.0, 0.0, -30.0)

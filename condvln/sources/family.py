@@ -1,22 +1,36 @@
-"""Facts about each family of datasets, independent of its reader: names, terms, official splits, scene paths.
+"""Facts about each family of datasets, independent of its reader: names, terms, official splits, scene paths, and the
+kinds of files on its download pages.
 
-A new family is an entry here, a reader in ``registry``, its downloads in ``downloads.csv``, its raw labels in
-``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTRIBUTING.md`` has the steps.
+A new family is an entry in ``families.yaml``, a reader in ``registry``, its downloads in ``downloads.csv``, its raw
+labels in ``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTRIBUTING.md`` has the steps.
 """
 
 from __future__ import annotations
 
+import csv
 import posixpath
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib import resources
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
 from typing import Final, Literal
 
 import orjson
+import yaml
 
-__all__ = ["FAMILIES", "Family", "SplitGroup", "composed_datasets"]
+__all__ = [
+    "FAMILIES",
+    "Download",
+    "Family",
+    "Found",
+    "SplitGroup",
+    "composed_datasets",
+    "downloads",
+    "look_for",
+]
 
 SplitGroup = Literal["train", "val_unseen", "test"]
 """A group of scenes; the group train holds the splits train and val_seen."""
@@ -59,7 +73,7 @@ class Family:
 
 @cache
 def _list_of(family: str) -> dict[str, SplitGroup]:
-    lists = orjson.loads((resources.files("condvln.sources") / "official" / f"{family}.json").read_bytes())
+    lists = orjson.loads((files("condvln.sources") / "official" / f"{family}.json").read_bytes())
     return {scene: group for group in _GROUPS for scene in lists[group].split()}
 
 
@@ -119,74 +133,22 @@ def _hm3d_split(scene_id: str) -> SplitGroup | None:
     return "train" if number < 800 else "val_unseen" if number < 900 else "test"
 
 
-FAMILIES: Final[dict[str, Family]] = {
-    "gibson": Family(
-        "Gibson and 3D Scene Graph",
-        "Gibson database licence (non-commercial research) and 3DSceneGraph's terms",
-        "Xia et al., Gibson Env, CVPR 2018; Armeni et al., 3D Scene Graph, ICCV 2019",
-        official_split=partial(_listed, "gibson"),
-        # The verified and the automated annotation of a building refer to the same mesh.
-        scene_file="{family}/{name}/{name}.glb",
-        licensed=True,
-    ),
-    "hm3d": Family(
-        "Habitat-Matterport 3D with semantics (HM3DSem)",
-        "Matterport's terms for academic use of model data (non-commercial; each user agrees to them with Matterport)",
-        "Ramakrishnan et al., Habitat-Matterport 3D Dataset (HM3D), NeurIPS Datasets and Benchmarks 2021; Yadav et "
-        "al., Habitat-Matterport 3D Semantics Dataset, CVPR 2023",
-        official_split=_hm3d_split,
-        scene_file="{family}/{scene}/{scan}.basis.glb",
-        scene_form="<split>/<number>-<scan>",
-        costs_like="gibson",
-        licensed=True,
-    ),
-    "hssd": Family(
-        "Habitat Synthetic Scenes Dataset (HSSD)",
-        "Creative Commons Attribution-NonCommercial 4.0",
-        "Khanna et al., Habitat Synthetic Scenes Dataset (HSSD-200), CVPR 2024",
-        composed=True,
-        costs_like="replicacad",
-    ),
-    "ithor": Family(
-        "AI2-THOR (iTHOR)",
-        "Apache-2.0",
-        "Kolve et al., AI2-THOR: An Interactive 3D Environment for Visual AI, 2017",
-        composed=True,
-        official_split=_ithor_split,
-        always_placed=True,
-    ),
-    "mp3d": Family(
-        "Matterport3D",
-        "Matterport3D terms of use (non-commercial academic use; each user agrees to them with Matterport)",
-        "Chang et al., Matterport3D: Learning from RGB-D Data in Indoor Environments, 3DV 2017",
-        official_split=partial(_listed, "mp3d"),
-        costs_like="gibson",
-        licensed=True,
-    ),
-    "procthor": Family(
-        "ProcTHOR-10K",
-        "Apache-2.0 (asset database); the houses state none",
-        "Deitke et al., ProcTHOR: Large-Scale Embodied AI Using Procedural Generation, NeurIPS 2022",
-        composed=True,
-        always_placed=True,
-    ),
-    "replicacad": Family(
-        "ReplicaCAD",
-        "Creative Commons Attribution 4.0 (some object models non-commercial)",
-        "Szot et al., Habitat 2.0: Training Home Assistants to Rearrange their Habitat, NeurIPS 2021",
-        composed=True,
-        official_split=_replicacad_split,
-    ),
-    "robothor": Family(
-        "RoboTHOR",
-        "Apache-2.0",
-        "Deitke et al., RoboTHOR: An Open Simulation-to-Real Embodied AI Platform, CVPR 2020",
-        composed=True,
-        official_split=_robothor_split,
-        always_placed=True,
-        costs_like="ithor",
-    ),
+_SPLITS: Final[dict[str, Callable[[str], SplitGroup | None]]] = {
+    "gibson": partial(_listed, "gibson"),
+    "hm3d": _hm3d_split,
+    "ithor": _ithor_split,
+    "mp3d": partial(_listed, "mp3d"),
+    "replicacad": _replicacad_split,
+    "robothor": _robothor_split,
 }
+
+
+def _families() -> dict[str, Family]:
+    known = yaml.safe_load((files("condvln.sources") / "families.yaml").read_text(encoding="utf-8"))
+    return {family: Family(**facts, official_split=_SPLITS.get(family, _unlisted)) for family, facts in known.items()}
+
+
+FAMILIES: Final = _families()
 """All families by the name used in configurations and tables."""
 
 
@@ -196,3 +158,75 @@ def composed_datasets(scenes: Iterable[str]) -> list[str]:
     """
     families = sorted({scene.partition("/")[0] for scene in scenes})
     return [FAMILIES[family].name for family in families if family in FAMILIES and FAMILIES[family].composed]
+
+
+_TABLE: Final = "downloads.csv"
+HABITAT_PROCTHOR: Final = "ai2thor-hab"
+"""The name of Habitat's form of ProcTHOR in the table; it is not a family of its own."""
+
+MAX_COUNTED: Final = 1_000_000
+"""Largest number of files counted of one kind, so that a search in a wrong folder ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """One kind of file in a dataset.
+
+    patterns : globs relative to the dataset's folder; one match is enough
+    need : without ``required`` files nothing can be read; ``optional`` files add information
+    holds : content of the files, and the effect if they are missing
+    source : its name on the download page
+    licence : the terms to accept before downloading
+    """
+
+    family: str
+    patterns: tuple[str, ...]
+    need: Literal["required", "optional"]
+    holds: str
+    source: str
+    licence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """How many files of one kind a folder holds."""
+
+    download: Download
+    files: int
+
+
+@cache
+def downloads(family: str) -> tuple[Download, ...]:
+    """Return the kinds of files of a family, the required ones first."""
+    rows = csv.DictReader((files("condvln.sources") / _TABLE).read_text(encoding="utf-8").splitlines())
+    found = [
+        Download(
+            family=row["family"],
+            patterns=tuple(row["patterns"].split(";")),
+            need="required" if row["need"] == "required" else "optional",
+            holds=row["holds"],
+            source=row["from"],
+            licence=row["licence"],
+        )
+        for row in rows
+        if row["family"] == family
+    ]
+    return tuple(sorted(found, key=lambda d: d.need != "required"))
+
+
+def look_for(family: str, root: Path, houses: Path | None = None) -> list[Found]:
+    """Return, for each kind of file of a family's dataset, how many of the files are in a folder; no file is opened.
+
+    houses : the folder of the house JSON, if `root` holds Habitat's ProcTHOR scenes
+    """
+    if houses is not None:
+        return [*look_for(HABITAT_PROCTHOR, root), *_look(downloads("procthor")[:1], houses)]
+    return _look(downloads(family), root)
+
+
+def _look(kinds: tuple[Download, ...], root: Path) -> list[Found]:
+    found = []
+    for download in kinds:
+        paths = {path for pattern in download.patterns for path in islice(root.glob(pattern), MAX_COUNTED)}
+        found.append(Found(download, len(paths)))
+    return found

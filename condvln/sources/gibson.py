@@ -8,10 +8,8 @@ from __future__ import annotations
 import posixpath
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import ClassVar, Final
 
 import numpy as np
@@ -20,16 +18,11 @@ from numpy.typing import NDArray
 from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
-from condvln.scene.boxes import placement
-from condvln.scene.frames import Z_UP_TO_HABITAT
-from condvln.scene.geometry import SceneGeometry
-from condvln.sources.input_ledger import InputLedger
-from condvln.sources.mesh_geometry import scan_geometry
-from condvln.sources.regions import LEVEL_STEP, in_rooms, side_regions
+from condvln.scene.rotations import Z_UP_TO_HABITAT
+from condvln.sources.regions import LEVEL_STEP, in_rooms
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
-from condvln.sources.scene_source import Note, SceneSource, SourceOptions
-from condvln.sources.source import MAX_OBJECTS
-from schemas.errors import ConfigError
+from condvln.sources.scene_source import ScanSource
+from condvln.sources.source import MAX_OBJECTS, InputLedger
 
 __all__ = ["GibsonSource", "verified_twin"]
 
@@ -42,7 +35,7 @@ LEVEL_ROOMS: Final = 3
 _FILE: Final = re.compile(r"^(?:(?P<folder>[^/]+)/)?(?:(?P<name>[^/]+)\.scn|3DSceneGraph_(?P<original>[^/]+)\.npz)$")
 
 
-class GibsonSource(SceneSource):
+class GibsonSource(ScanSource):
     """Buildings in a folder and its direct subfolders.
 
     Ids are ``verified/<name>`` and ``automated/<name>`` in subfolders of these names, otherwise ``<name>``. If a
@@ -54,65 +47,39 @@ class GibsonSource(SceneSource):
     bytes_per_object: ClassVar[float] = 750.0
     objects_per_room: ClassVar[float] = 3.6
 
-    def __init__(self, root: Path, options: SourceOptions) -> None:
-        super().__init__(root, options)
-        if not self._buildings():
-            raise ConfigError(
-                "no buildings (*.scn or 3DSceneGraph_*.npz, here or in verified/ and automated/) are in this folder",
-                where=root,
-                remedy="Download 3DSceneGraph, or set the source's 'root' to its folder",
-            )
-
-    def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
-        for scene_id, path in self._buildings().items():
-            yield scene_id, partial(self._note, scene_id, path)
+    nothing: ClassVar[tuple[str, str]] = (
+        "buildings (*.scn or 3DSceneGraph_*.npz, here or in verified/ and automated/)",
+        "Download 3DSceneGraph, or set the source's 'root' to its folder",
+    )
 
     def scene(self, scene_id: str) -> Scene:
         """Return one building; see `Source.read`."""
-        path = self._buildings().get(scene_id)
-        if path is None:
-            raise self.not_there(scene_id)
+        path = self.path_of(scene_id, self.scans())
         ledger = InputLedger()
         data, where = self.files.read(path, MAX_GRAPH_BYTES), str(self.root / path)
         document = read_scn(data, where) if path.endswith(".scn") else read_npz(data, where)
         complete = not scene_id.startswith(f"{AUTOMATED}/")
-        room_of = _rooms(document, self.family, complete)
+        room_of, left_out = _rooms(document, self.family, complete)
         off_level: list[SceneWarning] = []
         if not complete:
             nodes = document.array("rooms")
             named = {node["id"].integer() for node in nodes if node.get("floor_number") is not None}
             room_of, off_level = _with_floors_of_levels(room_of, named)
         rooms = tuple(room_of.values())
-        if self.options.regions is not None:
-            drawn = side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
-            if drawn:
-                rooms, room_of, off_level = drawn, {}, []
-        items, warnings = _objects(document, self.family, room_of)
+        if drawn := self.drawn_rooms([posixpath.basename(scene_id)], ledger):
+            rooms, room_of, left_out, off_level = drawn, {}, {}, []
+        items, warnings = _objects(document, self.family, room_of, left_out)
         rooms = rooms or (_whole(items, self.family, complete),)
         placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
         placed += [o for o in items if o.room_id]
         stage, navmeshes = self._beside(scene_id, path, ledger)
-        said = {*warnings, *lost, *off_level}
-        return Scene(
-            family=self.family,
-            scene_id=scene_id,
-            root=self.root,
-            rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
-            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
-            shipped_navmeshes=navmeshes,
-            stage=stage,
-            warnings=tuple(sorted(said, key=lambda w: (w.code, w.where, w.message))),
-        )
+        said = [*warnings, *lost, *left_out.values(), *off_level]
+        return self.made(scene_id, rooms, placed, said, navmeshes, stage)
 
-    def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the building's mesh; see `Source.geometry`. None if the file is missing: no walls are generated."""
-        return scan_geometry(self.files, scene)
-
-    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        """See `ScanSource.note`."""
         ledger.file(path)
-        if self.options.regions is not None:
-            side_regions(self.options.regions, [posixpath.basename(scene_id)], self.family, ledger)
+        self.drawn_rooms([posixpath.basename(scene_id)], ledger)
         self._beside(scene_id, path, ledger)
 
     def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
@@ -121,15 +88,10 @@ class GibsonSource(SceneSource):
         """
         name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
         folders = list(dict.fromkeys([folder, ""]))
-        mesh = next((m for m in (posixpath.join(f, f"{name}.glb") for f in folders) if self.files.has(m)), None)
-        stage: tuple[MeshPart, ...] = ()
-        if mesh is not None:
-            ledger.file(mesh)
-            stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
-        own = [posixpath.join(f, f"{name}.navmesh") for f in folders]
-        return stage, self.shipped_navmeshes(name, ledger, own)
+        bare = [posixpath.join(folder, name) for folder in folders]
+        return self.scan_files(name, [f"{b}.glb" for b in bare], [f"{b}.navmesh" for b in bare], ledger)
 
-    def _buildings(self) -> dict[str, str]:
+    def scans(self) -> dict[str, str]:
         """Return the path of each building's annotation by scene id, sorted."""
         found: dict[str, str] = {}
         # Of several files of a building the last one counts: .scn before .npz, subfolders before the root.
@@ -152,31 +114,41 @@ def verified_twin(scene_id: str) -> str | None:
 
 
 def _box(node: JsonNode) -> F64 | None:
-    """Return the (2, 3) box in Habitat's frame, not rounded; None if the entry has no position or size."""
+    """Return the (2, 3) box in Habitat's frame, not rounded; None if the entry has no position or size, or a size is
+    negative.
+    """
     location, size = node.get("location"), node.get("size")
     if location is None or size is None:
         return None
     extent = size.vector(3)
     if not (extent >= 0).all():
-        size.fail("a size is negative")
+        return None
     centre = Z_UP_TO_HABITAT @ location.vector(3)
     half = np.abs(Z_UP_TO_HABITAT @ extent) / 2
     return np.array([centre - half, centre + half])
 
 
-def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
-    """Return the rooms, keyed by the numbers that the file gives them."""
+def _rooms(document: JsonNode, family: str, complete: bool) -> tuple[dict[int, Room], dict[int, SceneWarning]]:
+    """Return the rooms, and warnings of those that are left out because they have no box; both by the numbers that the
+    file gives them.
+
+    Raises
+    ------
+    FormatError : a room is malformed, two have the same number, or none has a box
+    """
     nodes = document.array("rooms")
     floors = [floor.text() for node in nodes if (floor := node.get("floor_number")) is not None]
     level_of = {letter: level for level, letter in enumerate(sorted(set(floors)))}
     rooms: dict[int, Room] = {}
+    left_out: dict[int, SceneWarning] = {}
     for node in nodes:
         number, box = node["id"].integer(), _box(node)
-        if number in rooms:
+        if number in rooms or number in left_out:
             node.fail(f"two rooms have the id {number}")
-        if box is None:
-            node.fail("a room has no location or no size")
         raw, floor = node["scene_category"].text(), node.get("floor_number")
+        if box is None:
+            left_out[number] = SceneWarning("room_without_box", f"{raw}_{number}", f"{_no_box(node)}: left out")
+            continue
         (x0, y0, z0), (x1, y1, z1) = round_mm(box).tolist()
         rooms[number] = Room(
             room_id=f"{raw}_{number}",
@@ -190,7 +162,15 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> dict[int, Room]:
             complete=complete,
             asked=complete,
         )
-    return rooms
+    if left_out and not rooms:
+        document["rooms"].fail("no room has a box")
+    return rooms, left_out
+
+
+def _no_box(node: JsonNode) -> str:
+    """Return why an entry has no box."""
+    missing = [key for key in ("location", "size") if node.get(key) is None]
+    return f"it has no {' and no '.join(missing)}" if missing else "its size is negative"
 
 
 def _with_floors_of_levels(
@@ -232,9 +212,11 @@ def _with_floors_of_levels(
 
 
 def _objects(
-    document: JsonNode, family: str, room_of: Mapping[int, Room]
+    document: JsonNode, family: str, room_of: Mapping[int, Room], left_out: Collection[int]
 ) -> tuple[list[SceneObject], list[SceneWarning]]:
-    """Return the objects, each in the room that the file names; without a room where the file names none."""
+    """Return the objects, each in the room that the file names; without a room where the file names none, or one of the
+    rooms that are `left_out`.
+    """
     items: list[SceneObject] = []
     warnings: list[SceneWarning] = []
     seen: Counter[int] = Counter()
@@ -250,8 +232,10 @@ def _objects(
         if location is None:
             warnings.append(SceneWarning("object_without_place", object_id, "it has no location: left out"))
             continue
+        if box is None and node.get("size") is not None:
+            warnings.append(SceneWarning("no_box", object_id, "its size is negative: extent unknown"))
         room = None if parent is None else room_of.get(parent.integer())
-        if parent is None:
+        if parent is None or (room is None and parent.integer() in left_out):
             warnings.append(
                 SceneWarning("no_parent_room", object_id, "the file names no room for it: it is placed by its centre")
             )

@@ -13,10 +13,9 @@ import csv
 import posixpath
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Final
 
 import numpy as np
@@ -28,17 +27,14 @@ from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import placement
-from condvln.scene.frames import Z_UP_TO_HABITAT
-from condvln.scene.geometry import SceneGeometry
-from condvln.scene.limits import check_limits
+from condvln.scene.rotations import Z_UP_TO_HABITAT
+from condvln.scene.scene import check_limits
 from condvln.sources.family import FAMILIES
-from condvln.sources.input_ledger import InputLedger
-from condvln.sources.mesh_geometry import scan_geometry
 from condvln.sources.painted_mesh import Paint, read_paint
-from condvln.sources.regions import in_rooms, levelled, side_regions, typed_by_contents
-from condvln.sources.scene_source import Note, SceneSource, SourceOptions
-from condvln.sources.source import MAX_OBJECTS, UNKNOWN_LABEL
-from schemas.errors import ConfigError, FormatError, MissingFileError
+from condvln.sources.regions import in_rooms, levelled, typed_by_contents
+from condvln.sources.scene_source import ScanSource
+from condvln.sources.source import MAX_OBJECTS, UNKNOWN_LABEL, InputLedger
+from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["Hm3dSource"]
 
@@ -89,7 +85,7 @@ class _Instance:
         return f"{self.name}_{self.number}"
 
 
-class Hm3dSource(SceneSource):
+class Hm3dSource(ScanSource):
     """The annotated scans of HM3D, by their folders in the release: ``val/00800-TEEsavR23oF``, also where the dataset's
     folder is that of one split.
 
@@ -100,26 +96,14 @@ class Hm3dSource(SceneSource):
 
     family: ClassVar[str] = "hm3d"
 
-    def __init__(self, root: Path, options: SourceOptions) -> None:
-        super().__init__(root, options)
-        if not self._scans():
-            raise ConfigError(
-                "no annotated scans (<split>/<number>-<scan>/<scan>.semantic.txt) are in this folder",
-                where=root,
-                remedy="Download HM3D with its semantic annotations (you must accept its terms), or correct the "
-                "source's 'root'",
-            )
-
-    def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
-        for scene_id, path in self._scans().items():
-            yield scene_id, partial(self._note, scene_id, path)
+    nothing: ClassVar[tuple[str, str]] = (
+        "annotated scans (<split>/<number>-<scan>/<scan>.semantic.txt)",
+        "Download HM3D with its semantic annotations (you must accept its terms), or correct the source's 'root'",
+    )
 
     def scene(self, scene_id: str) -> Scene:
         """Return one scan; see `Source.read`."""
-        path = self._scans().get(scene_id)
-        if path is None:
-            raise self.not_there(scene_id)
+        path = self.path_of(scene_id, self.scans())
         ledger = InputLedger()
         instances = self._instances(path)
         numbers, said = _colours(instances, str(self.root / path))
@@ -132,10 +116,7 @@ class Hm3dSource(SceneSource):
             said.append(SceneWarning("unpainted_area", mesh, message))
         items, unseen = _objects(instances, paint, self.family)
         said += unseen
-        drawn: tuple[Room, ...] = ()
-        if self.options.regions is not None:
-            drawn = side_regions(self.options.regions, [posixpath.basename(scene_id), _scan(path)], self.family, ledger)
-        if drawn:
+        if drawn := self.drawn_rooms([posixpath.basename(scene_id), _scan(path)], ledger):
             items, lost = in_rooms(items, drawn)
             rooms = drawn
         else:
@@ -144,34 +125,22 @@ class Hm3dSource(SceneSource):
             placed, lost = in_rooms([item for item in items if item.room_id not in known], rooms)
             items = [item for item in items if item.room_id in known] + placed
             rooms = typed_by_contents(rooms, items)
-        found = Scene(self.family, scene_id, self.root, rooms, tuple(items))
-        check_limits(found, self.options.limits)
+        check_limits(Scene(self.family, scene_id, self.root, rooms, tuple(items)), self.options.limits)
         stage, navmeshes = self._beside(path, ledger)
-        return replace(
-            found,
-            rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
-            objects=tuple(sorted(items, key=lambda o: o.object_id)),
-            shipped_navmeshes=navmeshes,
-            stage=stage,
-            warnings=tuple(sorted({*said, *lost}, key=lambda w: (w.code, w.where, w.message))),
-        )
+        return self.made(scene_id, rooms, items, [*said, *lost], navmeshes, stage)
 
-    def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the scan's mesh; see `Source.geometry`."""
-        return scan_geometry(self.files, scene)
-
-    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        """See `ScanSource.note`."""
         ledger.file(path)
         ledger.file(self._painted(path))
-        if self.options.regions is not None:
-            side_regions(self.options.regions, [posixpath.basename(scene_id), _scan(path)], self.family, ledger)
+        self.drawn_rooms([posixpath.basename(scene_id), _scan(path)], ledger)
         self._proposals(scene_id, ledger)
         self._beside(path, ledger)
         instances = self._instances(path)
         ledger.objects = len(instances)
         ledger.rooms = len({one.region for one in instances} - {NO_REGION})
 
-    def _scans(self) -> dict[str, str]:
+    def scans(self) -> dict[str, str]:
         """Return the path of each scan's list, sorted by scene id. Of a scan that is in several folders, that of its
         split counts.
         """
@@ -203,12 +172,7 @@ class Hm3dSource(SceneSource):
         """
         bare = f"{posixpath.dirname(path)}/{_scan(path)}"
         meshes = [f"{bare}.basis.glb", f"{bare}.glb", _mesh_of(path)]
-        mesh = next((mesh for mesh in meshes if self.files.has(mesh)), None)
-        stage: tuple[MeshPart, ...] = ()
-        if mesh is not None:
-            ledger.file(mesh)
-            stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
-        return stage, self.shipped_navmeshes(_scan(path), ledger, [f"{bare}.basis.navmesh", f"{bare}.navmesh"])
+        return self.scan_files(_scan(path), meshes, [f"{bare}.basis.navmesh", f"{bare}.navmesh"], ledger)
 
     def _proposals(self, scene_id: str, ledger: InputLedger) -> Mapping[int, str]:
         """Return the proposed type of each region that has one."""

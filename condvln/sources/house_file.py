@@ -19,7 +19,7 @@ from condvln.formats.json_document import MAX_COORDINATE
 from condvln.sources.source import MAX_OBJECTS
 from schemas.errors import FormatError
 
-__all__ = ["HouseFile", "HouseObject", "HouseRegion", "Panorama", "Portal", "read_house_file"]
+__all__ = ["HouseFile", "HouseObject", "HouseRegion", "Panorama", "read_house_file"]
 
 F64 = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class HouseRegion:
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseObject:
     """An object: indices of region and category (−1 for none), and its oriented box in the file's order: centre (3,),
-    axes (3, 3) as columns, half lengths (3,).
+    axes (3, 3) as columns, half lengths (3,), which may be negative in a file that is wrong.
     """
 
     index: int
@@ -73,25 +73,15 @@ class Panorama:
     position: F64
 
 
-@dataclass(frozen=True, slots=True)
-class Portal:
-    """An opening between two regions, given by their indices."""
-
-    regions: tuple[int, int]
-    label: str
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class HouseFile:
     """The parts of a ``.house`` file that a scene needs. `categories` are the names of the object categories by index;
     a `#` in a name stands for a blank.
     """
 
-    levels: int
     regions: tuple[HouseRegion, ...]
     objects: tuple[HouseObject, ...]
     panoramas: tuple[Panorama, ...]
-    portals: tuple[Portal, ...]
     categories: dict[int, str]
 
 
@@ -118,7 +108,6 @@ class _Reader:
     corners: dict[int, list[F64]] = field(default_factory=dict)
     objects: dict[int, HouseObject] = field(default_factory=dict)
     panoramas: list[Panorama] = field(default_factory=list)
-    portals: list[Portal] = field(default_factory=list)
     categories: dict[int, str] = field(default_factory=dict)
 
     def house(self) -> HouseFile:
@@ -171,9 +160,7 @@ class _Reader:
         self.corners.setdefault(self.integer(2), []).append(self.vector(4))
 
     def _panorama_or_portal(self) -> None:
-        if len(self.words[1]) != _PANORAMA_NAME:
-            self.portals.append(Portal((self.integer(2), self.integer(3)), self.words[4]))
-        else:
+        if len(self.words[1]) == _PANORAMA_NAME:
             self.panoramas.append(Panorama(self.words[1], self.integer(3), self.vector(5)))
 
     def _category(self) -> None:
@@ -187,10 +174,9 @@ class _Reader:
             self.fail(f"more than {MAX_OBJECTS} objects")
         first, second = self.vector(7), self.vector(10)
         axes = np.column_stack([first, second, np.cross(first, second)])
-        half_lengths = self.vector(13)
-        if not (half_lengths >= 0).all():
-            self.fail("a half length is negative")
-        self.objects[index] = HouseObject(index, self.integer(2), self.integer(3), self.vector(4), axes, half_lengths)
+        self.objects[index] = HouseObject(
+            index, self.integer(2), self.integer(3), self.vector(4), axes, self.vector(13)
+        )
 
     def _checked(self, header: list[int] | None) -> HouseFile:
         self.line = 0
@@ -206,11 +192,9 @@ class _Reader:
             if item.category != -1 and item.category not in self.categories:
                 self.fail(f"the object {item.index} is of category {item.category}, which does not exist")
         return HouseFile(
-            levels=header[12 - 3],
             regions=tuple(self._region_of(index) for index in sorted(self.regions)),
             objects=tuple(self.objects[index] for index in sorted(self.objects)),
             panoramas=tuple(self.panoramas),
-            portals=tuple(self.portals),
             categories=self.categories,
         )
 

@@ -5,31 +5,35 @@ structure.
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterator
-from functools import partial
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import ClassVar, Final
 
+import networkx as nx
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
-from condvln.scene.boxes import aabb_of, box_corners, placement, rounded_box
-from condvln.scene.frames import Z_UP_TO_HABITAT
-from condvln.scene.geometry import SceneGeometry
-from condvln.scene.limits import check_limits
+from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene.rotations import Z_UP_TO_HABITAT
+from condvln.scene.scene import check_limits
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
-from condvln.sources.input_ledger import InputLedger
-from condvln.sources.mesh_geometry import scan_geometry
-from condvln.sources.regions import in_rooms, side_regions, typed_by_contents
-from condvln.sources.scene_source import Note, SceneSource, SourceOptions
-from condvln.sources.slices import joined_slices
-from condvln.sources.source import UNKNOWN_LABEL
-from schemas.errors import ConfigError, FormatError
+from condvln.sources.regions import in_rooms, typed_by_contents
+from condvln.sources.scene_source import ScanSource
+from condvln.sources.source import UNKNOWN_LABEL, InputLedger
+from schemas.errors import FormatError
 
-__all__ = ["Mp3dSource"]
+__all__ = [
+    "COVER",
+    "GAP",
+    "Mp3dSource",
+    "joined_slices",
+]
 
 MAX_HOUSE_BYTES: Final = 512 << 20
 LAYOUTS: Final = tuple(
@@ -42,7 +46,7 @@ MAX_GRAPH_BYTES: Final = 64 << 20
 AXIS_TOLERANCE: Final = 1e-3
 
 
-class Mp3dSource(SceneSource):
+class Mp3dSource(ScanSource):
     """Matterport3D scans, by their ids.
 
     An object's room is the region stated in the file, not the one that contains its centre: a fifth of the centres lie
@@ -54,19 +58,10 @@ class Mp3dSource(SceneSource):
     bytes_per_object: ClassVar[float] = 11_000.0
     objects_per_room: ClassVar[float] = 25.0
 
-    def __init__(self, root: Path, options: SourceOptions) -> None:
-        super().__init__(root, options)
-        if not self._scans():
-            raise ConfigError(
-                "no scans (<scan>/<scan>.house or <scan>/house_segmentations/<scan>.house) are in this folder",
-                where=root,
-                remedy="Download Matterport3D (you must accept its terms), or correct the source's 'root'",
-            )
-
-    def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
-        for scene_id, path in self._scans().items():
-            yield scene_id, partial(self._note, scene_id, path)
+    nothing: ClassVar[tuple[str, str]] = (
+        "scans (<scan>/<scan>.house or <scan>/house_segmentations/<scan>.house)",
+        "Download Matterport3D (you must accept its terms), or correct the source's 'root'",
+    )
 
     def scene(self, scene_id: str) -> Scene:
         """Return one scan; see `Source.read`."""
@@ -79,27 +74,12 @@ class Mp3dSource(SceneSource):
         check_limits(Scene(self.family, scene_id, self.root, rooms, tuple(items)), self.options.limits)
         items, cut = joined_slices(items, {room.room_id: room for room in rooms}, vocabulary.nameless)
         warnings += cut
-        if self.options.regions is not None:
-            drawn = side_regions(self.options.regions, [scene_id], self.family, ledger)
-            if drawn:
-                rooms = drawn
-                items, warnings = in_rooms(items, drawn)
+        if drawn := self.drawn_rooms([scene_id], ledger):
+            rooms = drawn
+            items, warnings = in_rooms(items, drawn)
         rooms = typed_by_contents(rooms, items)
         stage, navmeshes = self._beside(scene_id, path, ledger)
-        return Scene(
-            family=self.family,
-            scene_id=scene_id,
-            root=self.root,
-            rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
-            objects=tuple(sorted(items, key=lambda o: o.object_id)),
-            shipped_navmeshes=navmeshes,
-            stage=stage,
-            warnings=tuple(sorted(set(warnings), key=lambda w: (w.code, w.where, w.message))),
-        )
-
-    def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the scan's mesh; see `Source.geometry`. None if the file is missing: no walls are generated."""
-        return scan_geometry(self.files, scene)
+        return self.made(scene_id, rooms, items, warnings, navmeshes, stage)
 
     def house(self, scene_id: str) -> HouseFile:
         """Return the raw record of a scan, including panoramas, portals and categories, in the file's frame.
@@ -111,15 +91,13 @@ class Mp3dSource(SceneSource):
         return self._house(scene_id)[0]
 
     def _house(self, scene_id: str) -> tuple[HouseFile, str]:
-        path = self._scans().get(scene_id)
-        if path is None:
-            raise self.not_there(scene_id)
+        path = self.path_of(scene_id, self.scans())
         return read_house_file(self.files.read(path, MAX_HOUSE_BYTES), str(self.root / path)), path
 
-    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        """See `ScanSource.note`."""
         ledger.file(path)
-        if self.options.regions is not None:
-            side_regions(self.options.regions, [scene_id], self.family, ledger)
+        self.drawn_rooms([scene_id], ledger)
         self._beside(scene_id, path, ledger)
         graph = self.connectivity(scene_id)
         if graph is not None:
@@ -127,7 +105,7 @@ class Mp3dSource(SceneSource):
 
     def connectivity(self, scene_id: str) -> Path | None:
         """See `SceneSource.connectivity`. Also None if the scan has a mesh or a navmesh."""
-        path = self._scans().get(scene_id)
+        path = self.scans().get(scene_id)
         if path is None:
             return None
         stage, navmeshes = self._beside(scene_id, path, InputLedger())
@@ -142,15 +120,10 @@ class Mp3dSource(SceneSource):
         """
         folder = posixpath.dirname(path)
         folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))
-        mesh = next((m for m in (f"{f}/{scene_id}.glb" for f in folders) if self.files.has(m)), None)
-        stage: tuple[MeshPart, ...] = ()
-        if mesh is not None:
-            ledger.file(mesh)
-            stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
-        own = [f"{f}/{scene_id}.navmesh" for f in folders]
-        return stage, self.shipped_navmeshes(scene_id, ledger, own)
+        bare = [f"{folder}/{scene_id}" for folder in folders]
+        return self.scan_files(scene_id, [f"{b}.glb" for b in bare], [f"{b}.navmesh" for b in bare], ledger)
 
-    def _scans(self) -> dict[str, str]:
+    def scans(self) -> dict[str, str]:
         """Return the path of each scan's ``.house``, sorted; if a scan is present in several folder structures, the
         first structure counts.
         """
@@ -204,9 +177,11 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
         if entry.region == -1:
             warnings.append(SceneWarning("object_outside_rooms", object_id, "its region is -1: left out"))
             continue
-        box = _box(entry)
+        sized = bool((entry.half_lengths >= 0).all())
+        box = _box(entry) if sized else None
         if box is None:
-            warnings.append(SceneWarning("no_box", object_id, "its axes are not a frame: extent unknown"))
+            why = "its axes are not a frame" if sized else "a half length is negative"
+            warnings.append(SceneWarning("no_box", object_id, f"{why}: extent unknown"))
         aabb = None if box is None else round_mm(aabb_of(box_corners(box)))
         items.append(
             SceneObject(
@@ -218,7 +193,7 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
                 aabb=aabb,
                 obb=None if box is None else rounded_box(box),
                 size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
-                radius=float(np.ceil(np.linalg.norm(entry.half_lengths) * 1000) / 1000),
+                radius=float(np.ceil(np.linalg.norm(entry.half_lengths) * 1000) / 1000) if sized else None,
             )
         )
     return items, warnings
@@ -229,3 +204,127 @@ def _box(entry: HouseObject) -> OrientedBox | None:
     if not np.allclose(entry.axes.T @ entry.axes, np.eye(3), atol=AXIS_TOLERANCE):
         return None
     return OrientedBox(Z_UP_TO_HABITAT @ entry.centre, entry.half_lengths, Z_UP_TO_HABITAT @ entry.axes)
+
+
+F64 = NDArray[np.float64]
+
+GAP: Final = 0.05
+"""Largest distance in metres between the boxes of two slices, and from a slice to the other one's region."""
+
+COVER: Final = 0.6
+"""Least share of the smaller cross-section that the other one covers."""
+
+
+def joined_slices(
+    objects: Sequence[SceneObject], rooms: Mapping[str, Room], kept_apart: frozenset[str] = frozenset()
+) -> tuple[list[SceneObject], list[SceneWarning]]:
+    """Merge the slices of each cut object into one object. Return all objects in the given order, and a warning for
+    each merged object.
+
+    Matterport's annotators labelled the scan region by region, so a refrigerator on a border is one object in each
+    region that it extends into. Two objects are slices of one if all of the following hold:
+
+    * they have the same category, and stand in different regions of one level;
+    * their boxes touch or overlap: no more than ``GAP`` apart;
+    * seen along the way from one to the other, the smaller is covered by the other to at least ``COVER``: a cut leaves
+      the same cross-section on both sides, while separate objects side by side rarely do;
+    * both reach the border: each box comes within ``GAP`` of the other's region.
+
+    Chains of slices are merged too. The merged object is in the region that contains most of its volume.
+
+    Parameters
+    ----------
+    objects : with their rooms and boxes; objects without a box are unchanged
+    kept_apart : labels that are never merged, because they continue across regions or name no single object: walls,
+        "unknown"
+    """
+    of_label: defaultdict[str, list[int]] = defaultdict(list)
+    for k, item in enumerate(objects):
+        if item.aabb is not None and item.label not in kept_apart and rooms[item.room_id].polygon is not None:
+            of_label[item.raw_label].append(k)
+    floors = {name: shapely.Polygon(room.polygon) for name, room in rooms.items() if room.polygon is not None}
+    whole = nx.empty_graph(len(objects))
+    for members in of_label.values():
+        boxes = np.array([objects[k].aabb for k in members])
+        for at, i in enumerate(members):
+            for j in np.flatnonzero(_fit(boxes[at], boxes[at + 1 :])) + at + 1:
+                one, other = objects[i], objects[members[j]]
+                same_level = rooms[one.room_id].level == rooms[other.room_id].level
+                if one.room_id != other.room_id and same_level and _at_the_border(one, other, floors):
+                    whole.add_edge(i, members[j])
+    found: list[SceneObject] = []
+    said: list[SceneWarning] = []
+    for members in map(sorted, nx.connected_components(whole)):
+        if len(members) == 1:
+            found.append(objects[members[0]])
+            continue
+        item = _joined([objects[k] for k in members])
+        found.append(item)
+        others = ", ".join(sorted(objects[k].object_id for k in members if objects[k].object_id != item.object_id))
+        said.append(SceneWarning("object_cut", item.object_id, f"put together with its slices {others}"))
+    return found, said
+
+
+def _fit(box: F64, others: F64) -> NDArray[np.bool_]:
+    """Return a mask (n,): whether each of `others` (n, 2, 3) fits `box` (2, 3). Two boxes fit if they touch, and one of
+    the two touching faces nearly covers the other.
+    """
+    shared = np.minimum(box[1], others[:, 1]) - np.maximum(box[0], others[:, 0])  # below zero where they are apart
+    # They are side by side on the ground, along the horizontal axis on which they overlap least.
+    along_x = shared[:, 0] <= shared[:, 2]
+    smaller = np.minimum(np.maximum(box[1] - box[0], 1e-3), np.maximum(others[:, 1] - others[:, 0], 1e-3))
+    covered = np.maximum(shared, 0.0) / smaller
+    across = np.where(along_x, covered[:, 2], covered[:, 0])
+    return np.asarray((shared.min(axis=1) >= -GAP) & (np.minimum(covered[:, 1], across) >= COVER))
+
+
+def _at_the_border(one: SceneObject, other: SceneObject, floors: Mapping[str, shapely.Polygon]) -> bool:
+    """Return whether each of two objects is within `GAP` of the region that the other object is in."""
+    return all(_shadow(item).distance(floors[region.room_id]) <= GAP for item, region in ((one, other), (other, one)))
+
+
+def _shadow(item: SceneObject) -> shapely.Polygon:
+    assert item.aabb is not None
+    (x0, _, z0), (x1, _, z1) = item.aabb
+    return shapely.box(x0, z0, x1, z1)
+
+
+def _joined(slices: Sequence[SceneObject]) -> SceneObject:
+    """Merge several objects into one with the id and axes of the largest, in the region with most of its volume."""
+    volume: defaultdict[str, float] = defaultdict(float)
+    for item in slices:
+        volume[item.room_id] += _volume(item)
+    room_id = min(volume, key=lambda name: (-volume[name], name))
+    largest = min(slices, key=lambda item: (-_volume(item), item.object_id))
+    aabbs = np.array([item.aabb for item in slices])
+    aabb = round_mm(np.array([aabbs[:, 0].min(axis=0), aabbs[:, 1].max(axis=0)]))
+    box = None
+    if largest.obb is not None:
+        axes = largest.obb.rotation
+        corners = np.concatenate([_corners(item) for item in slices]) @ axes
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        box = rounded_box(OrientedBox(axes @ ((low + high) / 2), (high - low) / 2, axes))
+    half = (aabb[1] - aabb[0]) / 2 if box is None else box.half_extents
+    return replace(
+        largest,
+        room_id=room_id,
+        center=round_mm(aabb.mean(axis=0) if box is None else box.center),
+        aabb=aabb,
+        obb=box,
+        size=round_mm(aabb[1] - aabb[0]),
+        radius=float(np.ceil(np.linalg.norm(half) * 1000) / 1000),
+    )
+
+
+def _corners(item: SceneObject) -> F64:
+    assert item.aabb is not None
+    if item.obb is not None:
+        return box_corners(item.obb)
+    return box_corners(OrientedBox(item.aabb.mean(axis=0), (item.aabb[1] - item.aabb[0]) / 2, np.eye(3)))
+
+
+def _volume(item: SceneObject) -> float:
+    assert item.aabb is not None
+    if item.obb is not None:
+        return float(np.prod(item.obb.half_extents)) * 8.0
+    return float(np.prod(item.aabb[1] - item.aabb[0]))

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from condvln.formats.glb_part import GlbPart, Primitive, read_part
 from condvln.formats.json_document import MAX_COORDINATE
 from condvln.scene.boxes import transform_points
-from condvln.scene.gltf_arrays import attribute_rows, coordinates_of, primitive_triangles, world_transforms
+from condvln.scene.meshes import coordinates_of, world_transforms
 from schemas.errors import FormatError
 
 __all__ = ["CELL", "FINE", "Paint", "read_paint"]
@@ -185,15 +185,14 @@ def _faces(part: GlbPart, transform: F64, where: str) -> Iterator[_Faces]:
     world = world_transforms(part)
     for number, node in enumerate(part.nodes):
         for own in part.meshes[node.mesh] if node.mesh is not None else ():
-            triangles = primitive_triangles(part, own)
-            points = np.asarray(attribute_rows(part, own, "POSITION"), np.float64)
-            placed = transform_points(transform @ world[number], points)
+            triangles = own.faces
+            placed = transform_points(transform @ world[number], own.points.astype(np.float64))
             if not (np.abs(placed[triangles]) <= MAX_COORDINATE).all():
                 raise FormatError(
                     f"a vertex is NaN, infinite or beyond ±{MAX_COORDINATE:g} m", where=where, remedy=_REMEDY
                 )
             coordinates, picture = pictures.of(own)
-            tints = attribute_rows(part, own, "COLOR_0")
+            tints = own.rows("COLOR_0")
             own_tints = None if tints is None else np.nan_to_num(np.asarray(tints[:, :3], np.float64))[triangles]
             yield placed[triangles], coordinates[triangles], picture, own_tints
 
@@ -209,8 +208,7 @@ class _Pictures:
         """Return the texture coordinates (n, 2) of a primitive's vertices, zero where there are none, and its texture,
         None if there is none.
         """
-        count = self._part.accessors[own.attributes["POSITION"]].count
-        none = np.zeros((count, 2))
+        none = np.zeros((len(own.points), 2))
         look = self._part.look
         if own.material is None or look is None:
             return none, None
@@ -218,7 +216,7 @@ class _Pictures:
         if slot is None:
             return none, None
         name, moved = coordinates_of(slot)
-        places = attribute_rows(self._part, own, name)
+        places = own.rows(name)
         image = look.textures[int(slot["index"])].get("source")
         if places is None or image is None:
             return none, None

@@ -1,10 +1,18 @@
-"""ProcTHOR: procedurally generated houses. Each is one JSON document: a whole file, or one line of a file."""
+"""ProcTHOR: procedurally generated houses. Each is one JSON object: a whole file, one line of a file, or one entry of a
+file that is a JSON list.
+
+Habitat's form of ProcTHOR (``ai2thor-hab``): scene instances, whose rooms are only in the houses' own JSON.
+
+A scene and its house are matched by name: ``ProcTHOR-Train-293`` is line 293 of ``train.jsonl``. The match is verified
+by their objects, which must have the same positions: either in Unity's coordinates with z mirrored, or, as glTF
+exporters write it, with x mirrored, which is rotated by 180°.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,43 +20,115 @@ from typing import Any, ClassVar, Final, NoReturn
 
 import numpy as np
 import orjson
+from scipy.spatial import cKDTree
 
 from condvln.formats.json_document import parse_json
+from condvln.formats.json_entries import entries, first_character
 from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, rounded_box
-from condvln.scene.geometry import SceneGeometry
-from condvln.sources.asset_database import FILE_NAMES, Asset, AssetDatabase
-from condvln.sources.counters import counter_parts
-from condvln.sources.input_ledger import InputLedger
-from condvln.sources.procthor_house import House, HouseObject, read_house
-from condvln.sources.procthor_solids import house_structure
-from condvln.sources.regions import check_polygon, in_rooms, side_regions
-from condvln.sources.scene_source import Note, SceneSource, SourceOptions
-from condvln.sources.solids import Piece, joined, object_boxes
-from condvln.sources.source import UNKNOWN_LABEL
-from schemas.errors import ConfigError, InputError
+from condvln.scene.scene import SceneGeometry
+from condvln.sources.procthor_house import FILE_NAMES, Asset, AssetDatabase, House, HouseObject, read_house
+from condvln.sources.procthor_solids import counter_parts, house_structure
+from condvln.sources.regions import check_polygon, in_rooms
+from condvln.sources.replicacad import Assembly, ReplicaCadSource
+from condvln.sources.scene_source import Note, SceneChoice, SceneSource, SourceOptions
+from condvln.sources.solids import joined, object_boxes
+from condvln.sources.source import UNKNOWN_LABEL, InputLedger
+from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
 
-__all__ = ["ProcthorSource"]
+__all__ = ["ProcthorHabitatSource", "ProcthorSource"]
+
+_NAME: Final = re.compile(r"^(?:.*/)?ProcTHOR-(?P<split>[A-Za-z]+)-(?P<number>0|[1-9][0-9]{0,8})$")
+
+SAME_PLACE: Final = 0.25
+"""Largest distance in metres between the centres of an object's box in the house and of its mesh in the scene."""
+
+LEAST_SHARE: Final = 0.5
+"""Least share of a house's objects that must be found in the scene; some of Habitat's have no mesh or another pivot."""
+
+
+class ProcthorHabitatSource(ReplicaCadSource):
+    """Scenes ``ProcTHOR-<Split>-<n>`` of a Habitat scene dataset; its other scenes have no houses and are left out."""
+
+    family: ClassVar[str] = "procthor"
+
+    def __init__(self, root: Path, options: SourceOptions, houses: Path) -> None:
+        super().__init__(root, options)
+        self._houses = ProcthorSource(houses, replace(options, choice=SceneChoice(), navmesh=None, regions=None))
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`."""
+        for scene_id, note in super().listing():
+            if _NAME.match(scene_id):
+                yield scene_id, partial(self._note, scene_id, note)
+
+    def _note(self, scene_id: str, note: Note, ledger: InputLedger) -> None:
+        note(ledger)
+        name, data = self._houses.record(_house_id(scene_id))
+        ledger.record(f"houses/{name}", data)
+
+    def _rooms(self, scene_id: str, assembly: Assembly, objects: Sequence[SceneObject]) -> tuple[Room, ...]:
+        """Return the user's zones if there are any, else the house's rooms."""
+        if any(room.annotation == "user" for room in assembly.regions):
+            return assembly.regions
+        house_id = _house_id(scene_id)
+        house = self._houses.house(house_id)
+        turn = _turn(house, objects)
+        if turn is None:
+            raise FormatError(
+                f"the objects of house {house_id!r} are not where scene {scene_id!r} has them: the two do not match",
+                where=self._houses.root,
+                place=house_id,
+                remedy="Use the houses of the same release as Habitat's scenes, one per line, in a file for each split",
+            )
+        return tuple(
+            replace(room, polygon=None if room.polygon is None else room.polygon * turn + 0.0)
+            for room in self._houses.rooms(house)
+        )
+
+
+def _house_id(scene_id: str) -> str:
+    named = _NAME.match(scene_id)
+    assert named is not None
+    return f"{named['split'].lower()}-{named['number']}"
+
+
+def _turn(house: House, objects: Sequence[SceneObject]) -> int | None:
+    """Return 1 if the objects of house and scene are in the same places, −1 if they are in the same places after the
+    house is turned by 180°, None otherwise.
+    """
+    if not house.objects or not objects:
+        return 1
+    tree = cKDTree(np.array([item.center for item in objects]))
+    places = np.array([item.position for item in house.objects])
+    shares = {}
+    for turn in (1, -1):
+        distance, _ = tree.query(places * [turn, 1, turn])
+        shares[turn] = float((distance <= SAME_PLACE).mean())
+    best = max(shares, key=lambda turn: shares[turn])
+    return best if shares[best] >= LEAST_SHARE else None
+
 
 _FILE: Final = re.compile(r"^(?P<stem>.+?)(?P<suffix>\.jsonl|\.jsonl\.gz|\.json)$")
-_LINE: Final = re.compile(r"^(?P<stem>.+)-(?P<number>0|[1-9][0-9]{0,8})$")
-KEPT_STRUCTURE_BYTES: Final = 8 << 20
-"""Bytes of floors and walls that are kept; those of a house take 50 to 100 kB."""
-
+_NUMBERED: Final = re.compile(r"^(?P<stem>.+)-(?P<number>0|[1-9][0-9]{0,8})$")
+MAX_LIST_BYTES: Final = 256 << 20
+"""Size limit in bytes of a list of houses, which is read as a whole; 3,000 houses."""
 _HOUSE_KEYS: Final = (b'"rooms"', b'"walls"')
 """Keys that distinguish a house from other JSON in the same folder."""
 
-_LINE_KEYS: Final = (*_HOUSE_KEYS, b'"doors"', b'"windows"', b'"proceduralParameters"')
+_GENERATED: Final = b'"proceduralParameters"'
+_LINE_KEYS: Final = (*_HOUSE_KEYS, b'"doors"', b'"windows"', _GENERATED)
 """Keys of which any one makes a line a house, so that a damaged line still counts as a house."""
 
 
 class ProcthorSource(SceneSource):
     """Houses in the files of a folder and of its direct subfolders.
 
-    Ids are ``<file>-<line, from 0>`` for files with one house per line, ``<file>`` for files of one house, with the
-    subfolder in front if there is one. The asset database is in the root folder.
+    Ids are ``<file>-<line, from 0>`` for files with one house per line, ``<file>-<entry, from 0>`` for files that are a
+    list, ``<file>`` for files of one house, with the subfolder in front if there is one. The asset database is in the
+    root folder.
     """
 
     family: ClassVar[str] = "procthor"
@@ -56,10 +136,9 @@ class ProcthorSource(SceneSource):
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)
         self._open: dict[str, JsonLines] = {}
+        self._list: tuple[tuple[object, ...], list[bytes], InputError | None] | None = None
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
-        self._house: tuple[tuple[str, bytes], tuple[object, ...], House] | None = None
-        self._structures: dict[tuple[object, ...], Piece] = {}
-        self._room_for_structures = KEPT_STRUCTURE_BYTES
+        self._house: tuple[tuple[str, bytes], House] | None = None
         if not self._files() and not self._lost:
             raise ConfigError(
                 "no houses (*.jsonl, *.jsonl.gz, *.json) are in this folder",
@@ -81,22 +160,30 @@ class ProcthorSource(SceneSource):
             raise ConfigError(error.what, where=error.where, place=error.place, remedy=error.remedy) from None
         for (stem, suffix), path in self._files().items():
             try:
-                if suffix == ".json":
-                    data = self.files.read(path, MAX_LINE_BYTES)
-                    if all(key in data for key in _HOUSE_KEYS):
-                        yield stem, partial(self._note, stem, path, data)
-                    else:
-                        # A truncated file may have been a house.
-                        parse_json(data, str(self.root / path))
-                        self.pass_over(path, "JSON that is not a house")
+                if suffix != ".json":
+                    yield from self._houses_of(stem, path, self._lines(path).lines())
+                    if self._lines(path).trailing:
+                        self.pass_over(f"{path}#end", "bytes after the end of the gzip data are ignored")
                     continue
-                yield from self._houses_of_lines(stem, path)
+                if first_character(self.files.path(path)) == "[":
+                    houses, fault = self._entries(path)
+                    yield from self._houses_of(stem, path, enumerate(houses))
+                    if fault is not None:
+                        raise fault
+                    continue
+                data = self.files.read(path, MAX_LIST_BYTES)
+                if all(key in data for key in _HOUSE_KEYS) or _GENERATED in data:
+                    yield stem, partial(self._note, stem, path, data)
+                else:
+                    # A truncated file may have been a house.
+                    parse_json(data, str(self.root / path))
+                    self.pass_over(path, "JSON that is not a house")
             except InputError as error:
                 yield stem, partial(_fail, error)
 
-    def _houses_of_lines(self, stem: str, path: str) -> Iterator[tuple[str, Note]]:
-        """Yield the id of each house in a file with one house per line, with a function that records the house's
-        inputs. A file without any house is skipped if its first line is JSON.
+    def _houses_of(self, stem: str, path: str, records: Iterable[tuple[int, bytes]]) -> Iterator[tuple[str, Note]]:
+        """Yield the id of each house in a file with one house per record (a line, or an entry of a list), with a
+        function that records the house's inputs. A file without any house is skipped if its first record is JSON.
 
         Raises
         ------
@@ -104,68 +191,45 @@ class ProcthorSource(SceneSource):
         """
         earlier: list[int] = []
         first, houses = b"", False
-        for number, line in self._lines(path).lines():
-            if not houses and not any(key in line for key in _LINE_KEYS):
+        for number, data in records:
+            if not houses and not any(key in data for key in _LINE_KEYS):
                 earlier.append(number)
-                first = first or line
+                first = first or data
                 continue
-            if not houses:  # there is a house, so the earlier lines are damaged houses
+            if not houses:  # there is a house, so the earlier records are damaged houses
                 for broken in earlier:
-                    yield f"{stem}-{broken}", partial(self._note_line, f"{stem}-{broken}", path, broken)
+                    yield f"{stem}-{broken}", partial(self._note_again, f"{stem}-{broken}", path, broken)
             houses = True
-            yield f"{stem}-{number}", partial(self._note, f"{stem}-{number}", f"{path}#{number}", line)
+            yield f"{stem}-{number}", partial(self._note, f"{stem}-{number}", f"{path}#{number}", data)
         if not houses and earlier:
             parse_json(first, f"{self.root / path}#{earlier[0]}")
         if not houses:
-            self.pass_over(path, f"none of its {len(earlier)} lines is a house" if earlier else "the file has no lines")
+            noun = "entries" if path.endswith(".json") else "lines"
+            why = f"none of its {len(earlier)} {noun} is a house" if earlier else f"the file has no {noun}"
+            self.pass_over(path, why)
 
     def scene(self, scene_id: str) -> Scene:
         """Return one house; see `Source.read`."""
         house, ledger = self.house(scene_id), InputLedger()
         database = self._assets()
-        rooms = self.rooms(house)
-        if self.options.regions is not None:
-            rooms = side_regions(self.options.regions, [scene_id], self.family, ledger) or rooms
+        rooms = self.drawn_rooms([scene_id], ledger) or self.rooms(house)
         kinds = {o.object_id: database.asset(o.asset_id, ledger) for o in house.objects}
         objects = [self._object(o, kinds[o.object_id]) for o in house.objects]
         placed, lost = _with_parents_rooms(objects, house, rooms)
-        warnings = {*lost, *_unknown_assets(house, kinds)}
+        warnings = {*lost, *_assets_without_extent(house, kinds)}
         warnings |= {SceneWarning(_snake(name), "metadata.warnings", text) for name, text in house.warnings}
         unnamed = {o.room_id for o in placed if o.raw_label == UNKNOWN_LABEL}
-        return Scene(
-            family=self.family,
-            scene_id=scene_id,
-            root=self.root,
-            # If some object has no label, no absence can be claimed.
-            rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in sorted(rooms, key=lambda r: r.room_id)),
-            objects=tuple(sorted(placed, key=lambda o: o.object_id)),
-            shipped_navmeshes=self.shipped_navmeshes(scene_id, ledger),
-            warnings=tuple(sorted(warnings, key=lambda w: (w.code, w.where, w.message))),
-        )
+        # If some object has no label, no absence can be claimed.
+        rooms = tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms)
+        return self.made(scene_id, rooms, placed, warnings, self.shipped_navmeshes(scene_id, ledger))
 
     def geometry(self, scene: Scene) -> SceneGeometry:
         """Return floors, walls with holes for open doors and windows, and objects as boxes; see `Source.geometry`.
 
         There are no ceilings, since a navmesh would be built on them too.
         """
-        return joined([self._structure(scene.scene_id), object_boxes(enumerate(scene.objects))], approximate=True)
-
-    def _structure(self, scene_id: str) -> Piece:
-        """Return floors and walls of a house. They are kept for later stages, as long as the house's file is the same
-        and there is room for them.
-        """
-        key = self._signed(*self._place(scene_id))
-        found = self._structures.get(key)
-        if found is None:
-            known = self._house
-            house = known[2] if known is not None and known[1] == key else self.house(scene_id)
-            whole = joined(house_structure(house, f"{self.root}: {scene_id}"), approximate=True)
-            found = Piece(whole.vertices, whole.faces, whole.owner)
-            size = found.vertices.nbytes + found.faces.nbytes + found.owner.nbytes
-            if size <= self._room_for_structures:
-                self._room_for_structures -= size
-                self._structures[key] = found
-        return found
+        structure = house_structure(self.house(scene.scene_id), f"{self.root}: {scene.scene_id}")
+        return joined([*structure, object_boxes(enumerate(scene.objects))], approximate=True)
 
     def house(self, scene_id: str) -> House:
         """Return the raw record of a house in Habitat's frame, including walls, doors and windows. The house that was
@@ -175,13 +239,10 @@ class ProcthorSource(SceneSource):
         ------
         InputError : as `read`
         """
-        place = self._place(scene_id)
-        signed = self._signed(*place)  # before it is read: if it changes meanwhile, it is read again
-        record = self._record(*place)
+        name, data = record = self.record(scene_id)
         if self._house is None or self._house[0] != record:
-            name, data = record
-            self._house = (record, signed, read_house(parse_json(data, str(self.root / name))))
-        return self._house[2]
+            self._house = record, read_house(parse_json(data, str(self.root / name)))
+        return self._house[1]
 
     def record(self, scene_id: str) -> tuple[str, bytes]:
         """Return where a house is stored (path relative to the root, with ``#line`` in a file of lines), and its JSON.
@@ -195,19 +256,42 @@ class ProcthorSource(SceneSource):
     def _record(self, path: str, number: int | None) -> tuple[str, bytes]:
         if number is None:
             return path, self.files.read(path, MAX_LINE_BYTES)
-        return f"{path}#{number}", self._lines(path).line(number)
+        if not path.endswith(".json"):
+            return f"{path}#{number}", self._lines(path).line(number)
+        houses, fault = self._entries(path)
+        if number < len(houses):
+            return f"{path}#{number}", houses[number]
+        raise fault or MissingFileError(
+            f"the list has {len(houses)} houses, so none of number {number}",
+            where=self.root / path,
+            remedy="Correct the scene's id",
+        )
 
-    def _signed(self, path: str, number: int | None) -> tuple[object, ...]:
-        """Return a key of a place that changes with its file."""
-        return path, number, *self.files.signature(path)
+    def _entries(self, path: str) -> tuple[list[bytes], InputError | None]:
+        """Return the entries of a list of houses, and why no more of it can be read. The last list is kept until its
+        file changes.
+        """
+        size, changed = self.files.signature(path)
+        if self._list is None or self._list[0] != (path, size, changed):
+            if size > MAX_LIST_BYTES:
+                what = f"a list of houses is larger than {MAX_LIST_BYTES} bytes"
+                raise FormatError(what, where=self.root / path, remedy="Write one house per line (*.jsonl) instead")
+            houses: list[bytes] = []
+            fault: InputError | None = None
+            try:
+                houses.extend(text.encode() for _, text in entries(self.files.path(path), scalars=True))
+            except InputError as error:
+                fault = error
+            self._list = (path, size, changed), houses, fault
+        return self._list[1:]
 
     def _place(self, scene_id: str) -> tuple[str, int | None]:
-        """Return the file of a house, and its line in a file of lines."""
+        """Return the file of a house, and its number in a file of several."""
         files = self._files()
         if (scene_id, ".json") in files:
             return files[scene_id, ".json"], None
-        named = _LINE.match(scene_id)
-        for suffix in (".jsonl", ".jsonl.gz"):
+        named = _NUMBERED.match(scene_id)
+        for suffix in (".jsonl", ".jsonl.gz", ".json"):
             if named is not None and (named["stem"], suffix) in files:
                 return files[named["stem"], suffix], int(named["number"])
         raise self.not_there(scene_id)
@@ -217,7 +301,9 @@ class ProcthorSource(SceneSource):
         found: dict[tuple[str, str], str] = {}
         for path in self.matching("*.json*", "*/*.json*"):
             named = _FILE.match(path)
-            if named is not None and path not in FILE_NAMES:
+            if named is None:
+                self.pass_over(path, "its name does not end in .json, .jsonl or .jsonl.gz")
+            elif path not in FILE_NAMES:
                 found[named["stem"], named["suffix"]] = path
         return dict(sorted(found.items()))
 
@@ -238,8 +324,8 @@ class ProcthorSource(SceneSource):
             raise self._database[1]
         return self._database[1]
 
-    def _note_line(self, scene_id: str, path: str, number: int, ledger: InputLedger) -> None:
-        self._note(scene_id, f"{path}#{number}", JsonLines(self.files, path).line(number), ledger)
+    def _note_again(self, scene_id: str, path: str, number: int, ledger: InputLedger) -> None:
+        self._note(scene_id, *self._record(path, number), ledger)
 
     def _note(self, scene_id: str, name: str, data: bytes, ledger: InputLedger) -> None:
         """Record the inputs that a house is read from, without building the house."""
@@ -249,8 +335,7 @@ class ProcthorSource(SceneSource):
         ledger.rooms, ledger.objects = rooms, len(asset_ids)
         for asset_id in set(asset_ids):
             database.asset(asset_id, ledger)
-        if self.options.regions is not None:
-            side_regions(self.options.regions, [scene_id], self.family, ledger)
+        self.drawn_rooms([scene_id], ledger)
         self.shipped_navmeshes(scene_id, ledger)
 
     def rooms(self, house: House) -> tuple[Room, ...]:
@@ -341,10 +426,13 @@ def _with_parents_rooms(
     return placed, lost
 
 
-def _unknown_assets(house: House, kinds: dict[str, Asset | None]) -> Iterator[SceneWarning]:
+def _assets_without_extent(house: House, kinds: dict[str, Asset | None]) -> Iterator[SceneWarning]:
     unknown = Counter(o.asset_id for o in house.objects if kinds[o.object_id] is None)
     for asset_id, count in sorted(unknown.items()):
         yield SceneWarning("unknown_asset", asset_id, f"not in the asset database: extent of {count} unknown")
+    boxless = Counter(o.asset_id for o in house.objects if (kind := kinds[o.object_id]) and kind.size is None)
+    for asset_id, count in sorted(boxless.items()):
+        yield SceneWarning("no_box", asset_id, f"the asset database has no sound box of it: extent of {count} unknown")
 
 
 def _rooms_and_assets(data: bytes, where: str) -> tuple[int, list[str]]:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.json_document import JsonNode, parse_json
 from condvln.labels import vocabulary
-from condvln.labels.contents import types_by_contents
+from condvln.labels.lists import types_by_contents
 from condvln.scene import Room, SceneObject, SceneWarning, round_mm
-from condvln.sources.input_ledger import InputLedger
+from condvln.sources.source import InputLedger
 
 __all__ = [
     "LEVEL_STEP",

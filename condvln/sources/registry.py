@@ -9,16 +9,12 @@ from typing import Final
 
 from condvln.sources.gibson import GibsonSource
 from condvln.sources.hm3d import Hm3dSource
-from condvln.sources.hssd import HssdSource
-from condvln.sources.ithor import IthorSource
 from condvln.sources.mp3d import Mp3dSource
-from condvln.sources.procthor import ProcthorSource
-from condvln.sources.procthor_habitat import ProcthorHabitatSource
-from condvln.sources.replicacad import ReplicaCadSource
-from condvln.sources.robothor import RobothorSource
-from condvln.sources.scene_choice import SceneChoice
-from condvln.sources.scene_source import Absence, SceneSource, SourceOptions
+from condvln.sources.procthor import ProcthorHabitatSource, ProcthorSource
+from condvln.sources.replicacad import HssdSource, ReplicaCadSource
+from condvln.sources.scene_source import Absence, SceneChoice, SceneSource, SourceOptions
 from condvln.sources.source import HashFile, Source, hash_file
+from condvln.sources.thor import IthorSource, RobothorSource
 from schemas.config import LimitsConfig
 from schemas.errors import ConfigError
 

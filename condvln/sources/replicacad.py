@@ -1,4 +1,4 @@
-"""ReplicaCAD, and any other dataset in the form of a Habitat scene dataset.
+"""ReplicaCAD, HSSD, and any other dataset in the form of a Habitat scene dataset.
 
 A scene instance places rigid and articulated templates by name. Labels come from the semantic lexicon, extents from the
 GLB files (for articulated bodies, through the links of their URDF), rooms from region annotations. Without region
@@ -8,31 +8,33 @@ annotations the apartment is one room.
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.formats.csv_table import csv_columns
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
-from condvln.scene.geometry import SceneGeometry
 from condvln.scene.meshes import shared_library
-from condvln.sources.body import Body, BodyReader
-from condvln.sources.input_ledger import InputLedger
-from condvln.sources.lexicon import Lexicon, read_descriptors
-from condvln.sources.mesh_geometry import assembled_geometry
-from condvln.sources.regions import in_rooms, read_regions, side_regions
-from condvln.sources.scene_dataset import SceneDataset
-from condvln.sources.scene_instance import SceneInstance, read_scene_instance
+from condvln.scene.scene import SceneGeometry
+from condvln.sources.regions import in_rooms, read_regions
+from condvln.sources.scene_dataset import Lexicon, SceneDataset, Template, read_descriptors
+from condvln.sources.scene_instance import Body, BodyReader, Placed, SceneInstance, read_scene_instance
 from condvln.sources.scene_source import Note, SceneSource, SourceOptions
-from condvln.sources.source import UNKNOWN_LABEL
+from condvln.sources.solids import assembled_geometry
+from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 
-__all__ = ["Assembly", "ReplicaCadSource"]
+__all__ = [
+    "Assembly",
+    "HssdSource",
+    "ReplicaCadSource",
+]
 
 F64 = NDArray[np.float64]
 
@@ -112,11 +114,8 @@ class ReplicaCadSource(SceneSource):
         ledger.objects = len(bodies)
         navmeshes, said = self._navmeshes(dataset, posixpath.basename(scene_id), instance, ledger)
         regions = () if annotated is None else read_regions(annotated[1], "dataset", self.family)
-        if self.options.regions is not None:
-            names = [posixpath.basename(scene_id)]
-            if instance.stage is not None:
-                names.append(posixpath.basename(instance.stage.template))
-            regions = side_regions(self.options.regions, names, self.family, ledger) or regions
+        names = [scene_id] if instance.stage is None else [scene_id, instance.stage.template]
+        regions = self.drawn_rooms([*map(posixpath.basename, names)], ledger) or regions
         ledger.rooms = len(regions) or 1
         return Assembly(bodies, stage, regions, navmeshes, [*reader.warnings, *said])
 
@@ -150,81 +149,37 @@ class ReplicaCadSource(SceneSource):
 
     def _objects(self, bodies: Sequence[Body]) -> list[SceneObject]:
         """Return bodies as objects with their geometry. The objects have no room yet."""
-        shaped: list[_Shaped] = []
-        bare: dict[int, SceneObject] = {}
-        for k, body in enumerate(bodies):
-            meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
-            if any(map(len, meshes)):
-                shaped.append(_Shaped.of(body, meshes))
-            else:
-                matrix = body.to_scene(np.zeros(3) if body.com is None else body.com)
-                centre = round_mm(matrix[:3, 3])
-                item = SceneObject(body.placed.object_id, "", body.raw_label, body.label, centre)
-                bare[k] = replace(item, static=body.placed.static)
-        extended = iter(_extended(shaped) if shaped else ())
-        return [bare[k] if k in bare else next(extended) for k in range(len(bodies))]
+        return [self._object(body) for body in bodies]
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Shaped:
-    """A body with the vertices of its meshes.
-
-    parts : its meshes, each with its (4, 4) transform into the scene's frame
-    world, local : (n, 3) vertices in the scene's frame, and in that of the first part
-    """
-
-    body: Body
-    parts: tuple[MeshPart, ...]
-    world: F64
-    local: F64
-
-    @classmethod
-    def of(cls, body: Body, meshes: Sequence[F64]) -> _Shaped:
-        """Return the vertices (n, 3) of a body whose `meshes` have vertices (m, 3) in their own frames."""
+    def _object(self, body: Body) -> SceneObject:
+        meshes = [self._meshes.geometry(part.path).vertices for part in body.parts]
+        if not any(map(len, meshes)):
+            matrix = body.to_scene(np.zeros(3) if body.com is None else body.com)
+            item = SceneObject(body.placed.object_id, "", body.raw_label, body.label, round_mm(matrix[:3, 3]))
+            return replace(item, static=body.placed.static)
         own = [transform_points(part.transform, v) for part, v in zip(body.parts, meshes, strict=True) if len(v)]
         com = body.com if body.com is not None else aabb_of(np.concatenate(own)).mean(axis=0)
         matrix = body.to_scene(com)
         parts = tuple(MeshPart(part.path, matrix @ part.transform) for part in body.parts)
         back = np.linalg.inv(parts[0].transform)
         local = [transform_points(back @ part.transform, v) for part, v in zip(parts, meshes, strict=True) if len(v)]
-        return cls(body, parts, np.concatenate([transform_points(matrix, v) for v in own]), np.concatenate(local))
-
-
-def _extended(shaped: Sequence[_Shaped]) -> list[SceneObject]:
-    """Return bodies as objects. Their boxes and spheres are computed together, since most have few vertices."""
-    sizes = [len(one.world) for one in shaped]
-    first = np.cumsum([0, *sizes[:-1]])
-    world = np.concatenate([one.world for one in shaped])
-    aabbs = round_mm(_boxes(world, first))
-    centres = round_mm(aabbs.mean(axis=1))
-    away = np.maximum.reduceat(np.linalg.norm(world - np.repeat(centres, sizes, axis=0), axis=1), first)
-    radii = (np.ceil(away * 1000) / 1000).tolist()
-    extents = round_mm(aabbs[:, 1] - aabbs[:, 0])
-    locals_ = _boxes(np.concatenate([one.local for one in shaped]), first)
-    found = []
-    for k, one in enumerate(shaped):
-        obb = oriented_box(locals_[k], one.parts[0].transform)
-        found.append(
-            SceneObject(
-                object_id=one.body.placed.object_id,
-                room_id="",
-                raw_label=one.body.raw_label,
-                label=one.body.label,
-                center=centres[k],
-                aabb=aabbs[k],
-                obb=None if obb is None else rounded_box(obb),
-                size=extents[k],
-                radius=radii[k],
-                mesh=one.parts,
-                static=one.body.placed.static,
-            )
+        world = np.concatenate([transform_points(matrix, v) for v in own])
+        aabb = round_mm(aabb_of(world))
+        centre = round_mm(aabb.mean(axis=0))
+        obb = oriented_box(aabb_of(np.concatenate(local)), parts[0].transform)
+        return SceneObject(
+            object_id=body.placed.object_id,
+            room_id="",
+            raw_label=body.raw_label,
+            label=body.label,
+            center=centre,
+            aabb=aabb,
+            obb=None if obb is None else rounded_box(obb),
+            size=round_mm(aabb[1] - aabb[0]),
+            radius=float(np.ceil(np.linalg.norm(world - centre, axis=1).max() * 1000) / 1000),
+            mesh=parts,
+            static=body.placed.static,
         )
-    return found
-
-
-def _boxes(points: F64, first: NDArray[np.intp]) -> F64:
-    """Return the boxes (b, 2, 3) around groups of points (n, 3); the groups begin at the indices `first` (b,)."""
-    return np.stack([np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)], axis=1)
 
 
 def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:
@@ -243,3 +198,67 @@ def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:
         annotation="scene",
         complete=True,
     )
+
+
+TABLE: Final = "semantics/objects.csv"
+MAX_TABLE_BYTES: Final = 64 << 20
+"""Size limit in bytes of the table of models; the released one has 4.4 MB."""
+
+OPENINGS: Final = "objects/openings/"
+OPENING: Final = "opening"
+"""Raw label of templates in the folder of openings, which have no category."""
+
+
+class HssdSource(ReplicaCadSource):
+    """The scenes of HSSD (Habitat Synthetic Scenes Dataset, ``hssd-hab``); raises ConfigError for a folder without a
+    scene dataset.
+
+    Labels are in ``semantics/objects.csv``: the column ``id`` is the name of a model's template, ``main_category`` its
+    category. A model that is not in the table has the semantic class of its configuration. Templates in
+    ``objects/openings/`` have neither and are doors or windows.
+    """
+
+    family: ClassVar[str] = "hssd"
+
+    def body_reader(self, dataset: SceneDataset, lexicon: Lexicon, ledger: InputLedger) -> BodyReader:
+        """Return the reader of the scene's bodies, which knows the categories of the models."""
+        categories: Mapping[str, str] = {}
+        if dataset.has(TABLE):
+            data = dataset.root.read(TABLE, MAX_TABLE_BYTES)
+            categories = _categories(data, str(Path(self.root) / TABLE))
+        return _HssdBodyReader(dataset, lexicon, self.family, ledger, categories)
+
+
+class _HssdBodyReader(BodyReader):
+    def __init__(
+        self,
+        dataset: SceneDataset,
+        lexicon: Lexicon,
+        family: str,
+        ledger: InputLedger,
+        categories: Mapping[str, str],
+    ) -> None:
+        super().__init__(dataset, lexicon, family, ledger)
+        self._categories = categories
+
+    def _labels(self, template: Template, placed: Placed) -> tuple[str, str]:
+        raw = self._categories.get(template.handle)
+        if self._categories:
+            self.ledger.entry(TABLE, template.handle, raw)
+        if raw is None and template.get("semantic_id") is None and template.path.startswith(OPENINGS):
+            raw = OPENING
+        if raw is None:
+            return super()._labels(template, placed)
+        return raw, vocabulary.canonical(raw, self.family)
+
+
+@lru_cache(maxsize=2)
+def _categories(data: bytes, where: str) -> Mapping[str, str]:
+    """Return the category of each model by its name. Models without a category are left out.
+
+    Raises
+    ------
+    FormatError : the table is not text in UTF-8, or lacks a column
+    """
+    rows = csv_columns(data, ("id", "main_category"), where)
+    return {name: category for name, category in rows if name and category}

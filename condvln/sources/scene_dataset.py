@@ -1,4 +1,4 @@
-"""Read a Habitat scene dataset: its configuration, its templates by name, its scenes.
+"""Read a Habitat scene dataset: its configuration, its templates by name, its scenes, its semantic classes.
 
 The format is that of habitat-sim's ``<name>.scene_dataset_config.json``: for each kind of template a list of search
 paths, default attributes, and entries that define or modify a template.
@@ -9,30 +9,28 @@ from __future__ import annotations
 import glob
 import os
 import posixpath
-import time
-from collections import Counter, OrderedDict
+from collections import Counter
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Final
 
-from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.dataset_root import DatasetRoot, FileListing, list_files
 from condvln.formats.json_document import JsonNode, parse_json
-from condvln.sources.file_listing import FileListing, list_files
-from condvln.sources.input_ledger import InputLedger
+from condvln.sources.source import InputLedger
 from condvln.sources.urdf import MAX_URDF_BYTES, LinkMesh, read_urdf
-from schemas.errors import ConfigError, PathEscapeError
+from schemas.errors import ConfigError, MissingFileError, PathEscapeError
 
-__all__ = ["CONFIG_SUFFIX", "Attribute", "SceneDataset", "Template"]
+__all__ = [
+    "CONFIG_SUFFIX",
+    "Attribute",
+    "Lexicon",
+    "SceneDataset",
+    "Template",
+    "read_descriptors",
+]
 
 CONFIG_SUFFIX: Final = ".scene_dataset_config.json"
 MAX_JSON_BYTES: Final = 64 << 20
 """Size limit in bytes of a document: ReplicaCAD's largest has 50 kB, the largest scene dataset config known 20 MB."""
-
-KEPT_JSON_BYTES: Final = 1 << 13
-"""Largest document in bytes whose parsed content is cached; templates have 1 kB."""
-
-KEPT_URDF_BYTES: Final = 1 << 18
-"""Largest URDF file in bytes whose parsed content is cached; ReplicaCAD's have 10 kB."""
 
 _KINDS: Final[dict[str, tuple[str, ...]]] = {
     "stages": (".stage_config.json",),
@@ -93,42 +91,6 @@ class _Index:
     by_handle: dict[str, list[_Entry]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class _Listed:
-    """The templates of a dataset by name, the problems found while listing them, and the stamp of each folder that was
-    looked into.
-    """
-
-    indices: dict[str, _Index]
-    listing: FileListing
-    stamps: dict[str, tuple[int, int, int]]
-
-    def is_current(self) -> bool:
-        """Return whether all folders have the stamps that they had when they were listed."""
-        return all(_stamp(folder) == stamp for folder, stamp in self.stamps.items())
-
-
-_known_json = lru_cache(maxsize=1024)(parse_json)
-"""Cached small documents, most of them templates shared by scenes, keyed by the file's bytes as well."""
-
-_known_urdf = lru_cache(maxsize=64)(read_urdf)
-"""Cached meshes of bodies shared by scenes, keyed by the file's bytes, so that a changed file is read again."""
-
-
-_LISTED_KEPT: Final = 4
-"""Number of datasets whose lists of templates are kept."""
-
-_SETTLED: Final = 2_000_000_000
-"""Nanoseconds. The list of a folder that has changed more recently is not kept, since another change might give it the
-same stamp.
-"""
-
-_known_lists: OrderedDict[tuple[str, str, bytes], _Listed] = OrderedDict()
-"""Kept lists of templates, by root folder, name of the configuration, and the configuration's bytes. To list the 200
-files of ReplicaCAD takes an eighth of what a scene does.
-"""
-
-
 class SceneDataset:
     """The dataset under `root`, as it is on disk at construction.
 
@@ -140,11 +102,9 @@ class SceneDataset:
     def __init__(self, root: DatasetRoot) -> None:
         self.root = root
         self.config_path = self._config_path()
-        data = root.read(self.config_path, MAX_JSON_BYTES)
-        self.config = self._parsed(self.config_path, data).object()
-        listed = self._listed(data)
-        self.listing = FileListing([], dict(listed.listing.passed_over), dict(listed.listing.faults))
-        self._indices = listed.indices
+        self.config = self.document(self.config_path).object()
+        self.listing = FileListing()
+        self._indices = {kind: self._index(kind) for kind in _KINDS}
         self._loaded: dict[str, Attribute] = {}
         self._present: dict[str, bool] = {}
         self._bodies: dict[str, tuple[LinkMesh, ...]] = {}
@@ -156,10 +116,7 @@ class SceneDataset:
         ------
         InputError : it is missing or malformed
         """
-        return self._parsed(path, self.root.read(path, MAX_JSON_BYTES))
-
-    def _parsed(self, path: str, data: bytes) -> JsonNode:
-        return (_known_json if len(data) <= KEPT_JSON_BYTES else parse_json)(data, str(self.root.folder / path))
+        return parse_json(self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path))
 
     def has(self, path: str) -> bool:
         """Return whether a file exists; cached."""
@@ -176,7 +133,7 @@ class SceneDataset:
         """
         if path not in self._bodies:
             data, where = self.root.read(path, MAX_URDF_BYTES), str(self.root.folder / path)
-            self._bodies[path] = (_known_urdf if len(data) <= KEPT_URDF_BYTES else read_urdf)(data, where)
+            self._bodies[path] = read_urdf(data, where)
         return self._bodies[path]
 
     def scenes(self) -> dict[str, str]:
@@ -237,27 +194,8 @@ class SceneDataset:
             )
         return f"{plain}{CONFIG_SUFFIX}"
 
-    def _listed(self, config: bytes) -> _Listed:
-        """Return the templates of all kinds. They are listed again if the configuration or a folder has changed."""
-        key = (self._full(""), self.config_path, config)
-        known = _known_lists.get(key)
-        if known is not None and known.is_current():
-            _known_lists.move_to_end(key)
-            return known
-        begun, folders, listing = time.time_ns(), {""}, FileListing()
-        indices = {kind: self._index(kind, listing, folders) for kind in _KINDS}
-        listed = _Listed(indices, listing, {path: _stamp(path) for path in map(self._full, sorted(folders))})
-        if all(changed < begun - _SETTLED for *_, changed in listed.stamps.values()):
-            _known_lists[key] = listed
-            while len(_known_lists) > _LISTED_KEPT:
-                _known_lists.popitem(last=False)
-        return listed
-
-    def _full(self, folder: str) -> str:
-        return str(self.root.folder / folder)
-
-    def _index(self, kind: str, listing: FileListing, folders: set[str]) -> _Index:
-        """Return the templates of one kind, and add the folders that were looked into to `folders`."""
+    def _index(self, kind: str) -> _Index:
+        """Return the templates of one kind."""
         section = self.config.get(kind)
         index = _Index(kind)
         if section is None:
@@ -267,10 +205,10 @@ class SceneDataset:
         found: set[str] = set()
         for extension, patterns in paths.items() if paths is not None else ():
             for pattern in patterns.elements():
-                found |= self._search(kind, extension, pattern, folders)
-        listing.take(self.root, found)
-        kept = [path for path in listing.paths if path in found]
-        listing.paths.clear()
+                found |= self._search(kind, extension, pattern)
+        self.listing.take(self.root, found)
+        kept = [path for path in self.listing.paths if path in found]
+        self.listing.paths.clear()
         index.entries = [_Entry(posixpath.basename(_stem(p, *_KINDS[kind], *_ASSETS)), p) for p in kept]
         for made in section.array("configs"):
             handle = made.get("template_handle") or made.get("original_file")
@@ -282,9 +220,9 @@ class SceneDataset:
             index.by_handle.setdefault(entry.handle, []).append(entry)
         return index
 
-    def _search(self, kind: str, extension: str, pattern: JsonNode, folders: set[str]) -> set[str]:
-        """Return the files on a search path, and add the folders that were looked into to `folders`. A search path that
-        leads out of the dataset is ignored, since configurations name folders of robots beside the dataset.
+    def _search(self, kind: str, extension: str, pattern: JsonNode) -> set[str]:
+        """Return the files on a search path. One that leads out of the dataset is ignored, since configurations name
+        folders of robots beside the dataset.
         """
         try:
             relative = self.root.join("", pattern.text(), where=pattern.where, place=pattern.place)
@@ -292,13 +230,9 @@ class SceneDataset:
             return set()
         suffixes = _ASSETS if extension in _ASSETS else tuple(s for s in _KINDS[kind] if s.endswith(extension))
         found: set[str] = set()
-        parts = relative.split("/")
-        for count in range(1, len(parts)):
-            folders.update(glob.glob("/".join(parts[:count]), root_dir=self.root.folder))
         for path in glob.glob(relative, root_dir=self.root.folder):
             try:
                 names = os.listdir(self.root.folder / path)
-                folders.add(path)
             except OSError:
                 names = []
             inside = [f"{path}/{name}" for name in names if not name.startswith(".")]
@@ -328,19 +262,114 @@ class SceneDataset:
         return Template(entry.handle, path, tuple(layers))
 
 
-def _stamp(folder: str) -> tuple[int, int, int]:
-    """Return which folder is at a path, and when something was last added to it, renamed or taken away (nanoseconds);
-    zeros if it can't be looked at.
-    """
-    try:
-        status = os.stat(folder)
-    except OSError:
-        return 0, 0, 0
-    return status.st_dev, status.st_ino, max(status.st_mtime_ns, status.st_ctime_ns)
-
-
 def _stem(name: str, *suffixes: str) -> str:
     for suffix in suffixes:
         if name.endswith(suffix):
             return name[: -len(suffix)]
     return name
+
+
+_TAG = "%%CONFIG_NAME_AS_ASSET_FILENAME%%"
+
+
+class Lexicon:
+    """The names of a dataset's semantic classes, by id."""
+
+    def __init__(self, path: str, document: JsonNode) -> None:
+        self._path = path
+        self._classes: dict[int, tuple[str, JsonNode]] = {}
+        for node in document["classes"].elements():
+            number, name = node["id"].integer(), node["name"].text()
+            if number in self._classes:
+                node.fail(f"two classes have the id {number}")
+            if not name.strip():
+                node["name"].fail("the class has no name")
+            self._classes[number] = (name, node)
+
+    def name(self, number: int, ledger: InputLedger) -> str | None:
+        """Return the name of a class; None if no class has this id."""
+        name, node = self._classes.get(number, (None, None))
+        ledger.entry(self._path, f"classes.{number}", None if node is None else node.value)
+        return name
+
+
+def read_descriptors(
+    dataset: SceneDataset, scene_name: str, own: JsonNode | None, ledger: InputLedger
+) -> tuple[Lexicon, tuple[str, JsonNode] | None]:
+    """Return a scene's lexicon and its region annotations. The annotations come as (path of their file, annotations),
+    or as None if the scene has none.
+
+    The scene's own semantic descriptor is read first, then the dataset's default one, which fills in what the first
+    lacks, then the lexicon that one of them links to.
+
+    Raises
+    ------
+    MissingFileError : a named descriptor does not exist, or none holds classes
+    FormatError : a descriptor is malformed
+    """
+    lexicon: Lexicon | None = None
+    regions: tuple[str, JsonNode] | None = None
+    looked_at: list[str] = []
+    for named in (own, dataset.default("scene_instances", "semantic_scene_instance")):
+        if named is None:
+            continue
+        path = _descriptor_path(dataset, scene_name, named, ledger)
+        if path in looked_at:
+            continue
+        looked_at.append(path)
+        document = dataset.document(path).object()
+        annotations = document.get("region_annotations")
+        if regions is None and annotations is not None:
+            regions = (path, annotations)
+            ledger.entry(path, "region_annotations", annotations.value)
+        if lexicon is None and "classes" in document:
+            lexicon = Lexicon(path, document)
+    if lexicon is None:
+        lexicon = next(filter(None, (_linked_lexicon(dataset, path, ledger) for path in looked_at)), None)
+    if lexicon is None:
+        raise MissingFileError(
+            "no semantic lexicon ('classes') is named for this scene",
+            where=dataset.root.folder / dataset.config_path,
+            place="semantic_scene_descriptor_instances",
+            remedy="Put the dataset's lexicon back and name it there",
+        )
+    return lexicon, regions
+
+
+def _linked_lexicon(dataset: SceneDataset, path: str, ledger: InputLedger) -> Lexicon | None:
+    """Return the lexicon that the descriptor at `path` names in ``semantic_descriptor_filename``, or the dataset's
+    default for descriptors; None if there is none. The name is relative to the descriptor's folder.
+    """
+    key = "semantic_descriptor_filename"
+    named = dataset.document(path).get(key) or dataset.default("semantic_scene_descriptor_instances", key)
+    if named is None:
+        return None
+    linked = dataset.root.join(posixpath.dirname(path), named.text(), where=named.where, place=named.place)
+    if not dataset.root.has(linked):
+        raise MissingFileError(
+            "the semantic lexicon file does not exist",
+            where=dataset.root.folder / linked,
+            remedy=f"Download it again, or correct {key!r} in {named.where}",
+        )
+    ledger.entry(path, key, named.value)
+    document = dataset.document(linked).object()
+    return Lexicon(linked, document) if "classes" in document else None
+
+
+def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, ledger: InputLedger) -> str:
+    """Return the path of the named descriptor file, relative to the root."""
+    kind = "semantic_scene_descriptor_instances"
+    handle = named.text().replace(_TAG, scene_name)
+    entry = dataset.entry(kind, handle)
+    if entry is not None:
+        ledger.entry(dataset.config_path, f"{kind}.{handle}", entry.value)
+        path = dataset.root.join("", entry.text(), where=entry.where, place=entry.place)
+    else:
+        path = dataset.described(kind, handle) or dataset.root.join("", handle, where=named.where, place=named.place)
+    if not dataset.root.has(path):
+        raise MissingFileError(
+            "the semantic lexicon file does not exist",
+            where=dataset.root.folder / path,
+            remedy=f"Download it again, or correct {named.place or kind!r} in {named.where}",
+        )
+    return path

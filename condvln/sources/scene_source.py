@@ -7,24 +7,80 @@ from __future__ import annotations
 import math
 import posixpath
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from condvln.formats.dataset_root import DatasetRoot
-from condvln.scene import Scene
+from condvln.formats.dataset_root import DatasetRoot, FileListing, list_files
+from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning
+from condvln.scene.boxes import placement
 from condvln.scene.containment import with_containment
-from condvln.scene.geometry import SceneGeometry
-from condvln.scene.limits import check_limits
-from condvln.sources.file_listing import FileListing, list_files
-from condvln.sources.input_ledger import InputLedger
-from condvln.sources.scene_choice import SceneChoice
-from condvln.sources.source import HashFile, SceneCounts, SceneHandle, SceneInput
+from condvln.scene.rotations import Z_UP_TO_HABITAT
+from condvln.scene.scene import SceneGeometry, check_limits
+from condvln.sources.regions import side_regions
+from condvln.sources.solids import scan_geometry
+from condvln.sources.source import HashFile, InputLedger, SceneCounts, SceneHandle, SceneInput
 from schemas.config import LimitsConfig
-from schemas.errors import ConfigError, InputError, MissingFileError
+from schemas.errors import ConfigError, InputError, MissingFileError, PointerError
 
-__all__ = ["Absence", "Note", "SceneSource", "SourceOptions"]
+__all__ = [
+    "Absence",
+    "Note",
+    "ScanSource",
+    "SceneChoice",
+    "SceneSource",
+    "SourceOptions",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneChoice:
+    """Scene ids or patterns with ``*`` and ``?`` to include, and to exclude."""
+
+    scenes: Sequence[str] = ("*",)
+    exclude: Sequence[str] = ()
+
+    def wanted(self, scene_id: str) -> bool:
+        """Return whether a scene is included."""
+        return _fits(scene_id, self.scenes) and not self.excluded(scene_id)
+
+    def excluded(self, scene_id: str) -> bool:
+        """Return whether an exclusion matches `scene_id`, which is a scene's id or a path at which no scene could be
+        listed.
+        """
+        return _fits(scene_id, self.exclude)
+
+    def only_names(self) -> bool:
+        """Return whether all scenes are selected by id and none by a pattern."""
+        return not any(_is_pattern(scene) for scene in self.scenes)
+
+    def idle(self, known: Sequence[str]) -> list[str]:
+        """Return the inclusion patterns that match no scene in `known`. A pattern that matches only excluded scenes is
+        not returned.
+        """
+        return sorted({p for p in self.scenes if _is_pattern(p) and not any(fnmatchcase(s, p) for s in known)})
+
+    def idle_exclusions(self, known: Sequence[str]) -> list[str]:
+        """Return the exclusions, ids or patterns, that match no scene in `known`."""
+        return sorted({p for p in self.exclude if not any(fnmatchcase(s, p) for s in known)})
+
+    def missing(self, known: Iterable[str]) -> list[str]:
+        """Return the selected ids that the dataset does not have, sorted."""
+        there = set(known)
+        named = {s for s in self.scenes if not _is_pattern(s)}
+        return sorted(s for s in named - there if not _fits(s, self.exclude))
+
+
+def _is_pattern(scene: str) -> bool:
+    return any(character in scene for character in "*?[")
+
+
+def _fits(scene_id: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatchcase(scene_id, p) for p in patterns)
+
 
 Absence = Literal["complete", "never"]
 """Where absence may be claimed: see `schemas.config.SourceConfig`."""
@@ -115,16 +171,40 @@ class SceneSource(ABC):
         return sorted(self.each_handle(), key=lambda h: h.scene_id)
 
     def each_handle(self) -> Iterator[SceneHandle]:
-        """Yield the selected scenes; see `Source.each_handle`."""
+        """Yield the selected scenes; see `Source.each_handle`.
+
+        Raises
+        ------
+        ConfigError : no scene is selected; all have the same fault in the same file, such as a missing lexicon; or
+            files of all are pointers to files that were not downloaded
+        """
         choice = self.options.choice
         self._passed_over = {}
         known: list[str] = []
         found = 0
+        alike: list[SceneHandle] = []  # all so far, while all have one fault in common
+        pointers: list[SceneHandle] = []
         for scene_id, note in self.listing():
             known.append(scene_id)
-            if choice.wanted(scene_id):
-                found += 1
-                yield self._handle(scene_id, note)
+            if not choice.wanted(scene_id):
+                continue
+            found += 1
+            handle = self._handle(scene_id, note)
+            if isinstance(handle.fault, PointerError):
+                pointers.append(handle)
+                continue
+            same = handle.fault is not None and str(handle.fault) == str((alike or [handle])[0].fault)
+            if same and len(alike) == found - len(pointers) - 1:
+                alike.append(handle)
+                continue
+            yield from alike
+            alike = []
+            yield handle
+        if len(alike) > 1 and (cause := alike[0].fault):
+            what = f"none of the {found} scenes can be read: {cause.what}"
+            raise ConfigError(what, where=cause.where, place=cause.place, remedy=cause.remedy)
+        yield from alike
+        yield from self._pointing(pointers, found)
         missing = choice.missing(known)
         lost = {place: fault for place, fault in self._lost.items() if not choice.excluded(place)}
         if choice.only_names() and not missing:
@@ -145,6 +225,21 @@ class SceneSource(ABC):
         for name, fault in faults.items():
             yield SceneHandle(self.family, name, (), SceneCounts(), fault)
 
+    def _pointing(self, handles: Sequence[SceneHandle], found: int) -> Iterator[SceneHandle]:
+        """Yield the scenes with files that are pointers, all with one fault, so that it is said once.
+
+        Raises
+        ------
+        ConfigError : none of the `found` scenes has other files
+        """
+        if not handles or (cause := handles[0].fault) is None:
+            return
+        what = f"files of {len(handles)} of {found} scenes were not downloaded, such as {cause.where}: {cause.what}"
+        if len(handles) == found > 1:
+            raise ConfigError(what, where=self.root, remedy=cause.remedy)
+        fault = cause if len(handles) == 1 else PointerError(what, where=self.root, remedy=cause.remedy)
+        yield from (replace(handle, fault=fault) for handle in handles)
+
     def passed_over(self) -> list[tuple[str, str]]:
         """Return (path, reason) of everything that the last listing skipped; see `Source.passed_over`."""
         return sorted(self._passed_over.items())
@@ -162,6 +257,24 @@ class SceneSource(ABC):
     def pass_over(self, path: str, why: str) -> None:
         """Record that a file is skipped because it holds no scene; `why` is the reason."""
         self._passed_over[path] = why
+
+    def scan_files(
+        self, name: str, meshes: Iterable[str], navmeshes: Sequence[str], ledger: InputLedger
+    ) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+        """Return the mesh of a scan, the first of `meshes` that exists, and the possible paths of its navmesh; those
+        that exist are recorded as inputs. Scans are z-up.
+        """
+        mesh = next((mesh for mesh in meshes if self.files.has(mesh)), None)
+        stage: tuple[MeshPart, ...] = ()
+        if mesh is not None:
+            ledger.file(mesh)
+            stage = (MeshPart(mesh, placement(Z_UP_TO_HABITAT)),)
+        return stage, self.shipped_navmeshes(name, ledger, navmeshes)
+
+    def drawn_rooms(self, names: Sequence[str], ledger: InputLedger) -> tuple[Room, ...]:
+        """Return the rooms that the user drew for a scene, if any; see `side_regions`."""
+        side = self.options.regions
+        return () if side is None else side_regions(side, names, self.family, ledger)
 
     def shipped_navmeshes(
         self, scene_name: str, ledger: InputLedger, configured: Sequence[str] = ()
@@ -188,12 +301,44 @@ class SceneSource(ABC):
                 ledger.file(path)
         return tuple(candidates)
 
+    def made(
+        self,
+        scene_id: str,
+        rooms: Iterable[Room],
+        objects: Iterable[SceneObject],
+        warnings: Iterable[SceneWarning],
+        navmeshes: tuple[str, ...],
+        stage: tuple[MeshPart, ...] = (),
+    ) -> Scene:
+        """Return the scene with its rooms and objects sorted by id, and each warning once."""
+        return Scene(
+            family=self.family,
+            scene_id=scene_id,
+            root=self.root,
+            rooms=tuple(sorted(rooms, key=lambda r: r.room_id)),
+            objects=tuple(sorted(objects, key=lambda o: o.object_id)),
+            shipped_navmeshes=navmeshes,
+            stage=stage,
+            warnings=tuple(sorted(set(warnings), key=lambda w: (w.code, w.where, w.message))),
+        )
+
     def _fits_none(self, pattern: str) -> MissingFileError:
         return MissingFileError(
             f"no scene of the dataset fits the pattern {pattern!r}",
             where=self.root,
             remedy="Correct the source's 'scenes', or download the scenes",
         )
+
+    def path_of(self, scene_id: str, paths: Mapping[str, str]) -> str:
+        """Return the path of a scene.
+
+        Raises
+        ------
+        MissingFileError : it is not among them
+        """
+        if scene_id not in paths:
+            raise self.not_there(scene_id)
+        return paths[scene_id]
 
     def not_there(self, scene_id: str) -> MissingFileError:
         """Return the error for a scene that the dataset does not have."""
@@ -223,3 +368,33 @@ class SceneSource(ABC):
         objects = float(ledger.objects) if ledger.objects is not None else annotation / self.bytes_per_object
         rooms = float(ledger.rooms) if ledger.rooms is not None else objects / self.objects_per_room
         return SceneCounts(round(objects, 1), round(max(rooms, 1.0), 1), navmesh, meshes)
+
+
+class ScanSource(SceneSource):
+    """A family of scans: each is one file, with a mesh and a navmesh beside it."""
+
+    nothing: ClassVar[tuple[str, str]]
+    """What is not in a folder without scans, and what to do."""
+
+    def __init__(self, root: Path, options: SourceOptions) -> None:
+        super().__init__(root, options)
+        if not self.scans():
+            what, remedy = self.nothing
+            raise ConfigError(f"no {what} are in this folder", where=root, remedy=remedy)
+
+    @abstractmethod
+    def scans(self) -> dict[str, str]:
+        """Return the path of each scan's file, sorted by scene id."""
+
+    @abstractmethod
+    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        """Note what a scan is read from."""
+
+    def listing(self) -> Iterator[tuple[str, Note]]:
+        """See `SceneSource.listing`."""
+        for scene_id, path in self.scans().items():
+            yield scene_id, partial(self.note, scene_id, path)
+
+    def geometry(self, scene: Scene) -> SceneGeometry | None:
+        """Return the scan's mesh; see `Source.geometry`."""
+        return scan_geometry(self.files, scene)

@@ -6,17 +6,20 @@ import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
-from condvln.formats.regular_file import open_regular
+from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.json_document import canonical_json
+from condvln.formats.regular_file import open_regular, refuse_pointer
 from condvln.scene import Scene
-from condvln.scene.geometry import SceneGeometry
-from schemas.errors import InputError
+from condvln.scene.scene import SceneGeometry
+from schemas.errors import InputError, MissingFileError
 
 __all__ = [
     "MAX_OBJECTS",
     "UNKNOWN_LABEL",
     "HashFile",
+    "InputLedger",
     "SceneCounts",
     "SceneHandle",
     "SceneInput",
@@ -151,3 +154,49 @@ def hash_file(path: Path) -> tuple[int, str]:
             digest.update(piece)
             size += len(piece)
     return size, digest.hexdigest()
+
+
+class InputLedger:
+    """The files, and entries of shared files, that one scene depends on.
+
+    objects, rooms : numbers of the scene's objects and rooms, if the listing has counted them; otherwise None
+    """
+
+    def __init__(self) -> None:
+        self._files: set[str] = set()
+        self._entries: dict[str, Any] = {}
+        self._records: dict[str, bytes] = {}
+        self.objects: int | None = None
+        self.rooms: int | None = None
+
+    def file(self, path: str) -> None:
+        """Record a whole file, by its path relative to the root."""
+        self._files.add(path)
+
+    def entry(self, path: str, name: str, value: Any) -> None:
+        """Record one entry of a shared file, so that changes of other entries do not affect this scene."""
+        self._entries[f"{path}#{name}"] = value
+
+    def record(self, name: str, data: bytes) -> None:
+        """Add an input by its bytes: one record of a shared file (named ``file#record``), or a whole file."""
+        self._records[name] = data
+
+    def inputs(self, root: DatasetRoot, hash_file: HashFile) -> tuple[SceneInput, ...]:
+        """Return all recorded inputs, sorted by path; files that no longer exist are left out.
+
+        Raises
+        ------
+        MissingFileError : a file exists but can't be read, or is a pointer to one that was not downloaded
+        """
+        entries = {name: canonical_json(value) for name, value in self._entries.items()} | self._records
+        found = [SceneInput(p, len(v), hashlib.sha256(v).hexdigest()) for p, v in entries.items()]
+        for path in sorted(self._files):
+            if root.has(path):
+                try:
+                    refuse_pointer(root.path(path))
+                    size, sha256 = hash_file(root.path(path))
+                except OSError as error:
+                    what = f"the file can't be read ({error.strerror})"
+                    raise MissingFileError(what, where=root.folder / path, remedy="Correct its permissions") from None
+                found.append(SceneInput(path, size, sha256))
+        return tuple(sorted(found, key=lambda i: i.path))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from condvln.formats.json_document import MAX_COORDINATE
 from condvln.scene.boxes import placement
-from condvln.scene.quaternions import rotation_rpy
+from condvln.scene.rotations import rotation_rpy
 from schemas.errors import FormatError
 
 __all__ = ["MAX_URDF_BYTES", "LinkMesh", "read_urdf"]

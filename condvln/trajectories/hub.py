@@ -1,31 +1,58 @@
 """The hub, whose images all layouts share: a folder in StreamVLN's layout, with all poses in ``poses.parquet``.
 
-``annotations.json`` and ``images/<walk>/rgb/001.jpg`` are what StreamVLN's loader reads; other layouts name or link the
-same images.
+``annotations.json`` and ``images/<walk>/rgb/001.jpg`` are what StreamVLN's loader reads, and SNav's, whose turns are
+larger; other layouts name or link the same images. Walks of other actions than these two have no ``annotations.json``.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from condvln.formats.streams import JsonArrayStream, atomic_stream
+from condvln.formats.streams import JsonArrayStream, atomic_path, atomic_stream
+from condvln.navigation.follower import ActionSpace
+from condvln.trajectories.cameras import Cameras
 from condvln.trajectories.images import IMAGES, writing
-from schemas.trajectory_tables import TRAJECTORY_TABLES
+from schemas.tables import TRAJECTORY_TABLES
 
-__all__ = ["ANNOTATIONS", "SceneWalks", "annotation", "write_hub", "write_tables"]
+__all__ = [
+    "ANNOTATIONS",
+    "AddScene",
+    "Hub",
+    "Layout",
+    "SceneWalks",
+    "annotation",
+    "json_array",
+    "write_hub",
+    "write_tables",
+]
 
 ANNOTATIONS: Final = "annotations.json"
 
 Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Hub:
+    """What the layouts of a folder of trajectories share.
+
+    folder : the folder of the trajectories, with the images
+    split : split of the episodes
+    cameras : by name; the main one is ``rgb``
+    space : what the walks' actions mean
+    """
+
+    folder: Path
+    split: str
+    cameras: Cameras
+    space: ActionSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +70,21 @@ class SceneWalks:
         """Return the rows of the walks, sorted by name."""
         found: list[dict[str, Any]] = self.tables["trajectories"].to_pylist()
         return found
+
+
+AddScene: TypeAlias = Callable[[SceneWalks], None]
+Layout: TypeAlias = Callable[[Hub], AbstractContextManager[AddScene]]
+"""Opens a layout below the hub's folder. It takes one scene after the other, names or links the hub's images and
+renders nothing; its folder replaces an older one when all scenes are done.
+"""
+
+
+@contextmanager
+def json_array(path: Path) -> Iterator[JsonArrayStream]:
+    """Write a JSON array to a file, an entry a time; the file appears when the array is complete."""
+    with atomic_stream(path, closing=b"\n]\n") as stream:
+        stream.write(b"[\n")
+        yield JsonArrayStream(stream)
 
 
 def annotation(row: Row) -> dict[str, Any]:
@@ -66,9 +108,7 @@ def write_hub(folder: Path, scenes: Iterable[SceneWalks]) -> Iterator[SceneWalks
 
     The files replace older ones when all scenes are done.
     """
-    with atomic_stream(folder / ANNOTATIONS, closing=b"\n]\n") as stream:
-        stream.write(b"[\n")
-        entries = JsonArrayStream(stream)
+    with json_array(folder / ANNOTATIONS) as entries:
         for scene in write_tables(folder, scenes):
             for row in scene.trajectories():
                 entries.entry(orjson.dumps(annotation(row)))
@@ -84,13 +124,10 @@ def write_tables(folder: Path, scenes: Iterable[SceneWalks]) -> Iterator[SceneWa
                 table = scene.tables[name]
                 if not table.num_rows:
                     continue
+                source = pa.array([scene.source] * table.num_rows, pa.string())
                 with writing(folder / f"{name}.parquet"):
-                    writer.write_table(_with_source(table, scene.source), row_group_size=table.num_rows)
+                    writer.write_table(table.append_column(_SOURCE, source), row_group_size=table.num_rows)
             yield scene
-
-
-def _with_source(table: pa.Table, source: str) -> pa.Table:
-    return table.append_column(_SOURCE, pa.array([source] * table.num_rows, pa.string()))
 
 
 _SOURCE: Final = pa.field(
@@ -107,16 +144,9 @@ def _parquet(path: Path, name: str) -> Iterator[pq.ParquetWriter]:
     StoreError : the file can't be written
     """
     schema = TRAJECTORY_TABLES[name].append(_SOURCE)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with writing(path):
-            writer = pq.ParquetWriter(part, schema, compression="zstd")
+    with atomic_path(path) as part:
+        writer = pq.ParquetWriter(part, schema, compression="zstd")
         try:
             yield writer
         finally:
-            with writing(path):
-                writer.close()
-        with writing(path):
-            os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+            writer.close()

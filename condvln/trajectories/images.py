@@ -1,4 +1,8 @@
-"""Render the frames of a scene's walks and write them as files: JPEG for colours, PNG with 16 bits for depth."""
+"""Render the frames of a scene's walks and write them as files: JPEG for colours, PNG with 16 bits for depth.
+
+With the depth images come the pixel goals, on which InternVLA-N1 is trained: the pixel at which a frame shows the
+farthest later position of the walk that the camera sees.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from bisect import bisect_right
 from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -18,13 +22,25 @@ from numpy.typing import NDArray
 
 from condvln.formats.image_files import jpeg, png16
 from condvln.sensors import Frame, Renderer
+from condvln.sensors.camera import camera_pose, half_extents
 from condvln.trajectories.cameras import Cameras, intrinsics, is_depth
-from condvln.trajectories.pixel_goals import mistake_after, pixel_goal
 from schemas.config import CameraConfig, TrajectoryConfig
 from schemas.errors import StoreError
-from schemas.trajectory_tables import POSES, STEPS
+from schemas.tables import POSES, STEPS
 
-__all__ = ["IMAGES", "ImageWriter", "clear_parts", "clear_walks", "image_path", "writing"]
+__all__ = [
+    "IMAGES",
+    "ImageWriter",
+    "PixelGoal",
+    "clear_parts",
+    "clear_walks",
+    "image_path",
+    "mistake_after",
+    "pixel_goal",
+    "writing",
+]
+
+F64 = NDArray[np.float64]
 
 IMAGES: Final = "images"
 """Folder of all images below the folder of the trajectories."""
@@ -104,7 +120,7 @@ class ImageWriter:
                 for part in parts.values() if self._keep else ():
                     for camera in self._cameras:
                         (part / camera).mkdir(parents=True, exist_ok=True)
-                found = self._images(steps, starts, [f"{parts[names[at]]}" for at in starts[:-1]])
+                found = self._images(steps, starts, [parts[names[at]] for at in starts[:-1]])
                 for name, part in parts.items() if self._keep else ():
                     _replace(part, images / name)
         finally:
@@ -112,7 +128,7 @@ class ImageWriter:
                 shutil.rmtree(part, ignore_errors=True)
         return self._rows(steps, found)
 
-    def _images(self, steps: pa.Table, starts: list[int], parts: list[str]) -> dict[str, list[Any]]:
+    def _images(self, steps: pa.Table, starts: list[int], parts: list[Path]) -> dict[str, list[Any]]:
         """Write the images into the folders of their walks; return the columns of their rows, frame by frame, all
         cameras of a frame together.
 
@@ -124,7 +140,7 @@ class ImageWriter:
         places, headings = _columns(steps["position"]), np.asarray(steps["heading"])
         right = np.asarray(steps["action"]) == np.asarray(steps["executed"])
         walks = steps["trajectory"].to_pylist()
-        files: dict[str, str] = {}  # the first file of each hash
+        files: dict[str, Path] = {}  # the first file of each hash
         for rows in _of_one_pose(places, headings):
             place, heading = places[rows[0]], float(headings[rows[0]])
             of = [bisect_right(starts, row) - 1 for row in rows]
@@ -133,7 +149,7 @@ class ImageWriter:
                 for row, walk in zip(rows, of, strict=True):
                     start = starts[walk]
                     path = image_path(walks[row], camera, row - start)
-                    file = f"{parts[walk]}/{camera}/{path.rpartition('/')[2]}"
+                    file = parts[walk] / camera / path.rpartition("/")[2]
                     first = files.setdefault(hashed, file)
                     self.size += len(data) if first is file else 0
                     if self._keep:
@@ -196,18 +212,7 @@ def _columns(points: pa.ChunkedArray) -> NDArray[np.float64]:
     return np.stack([np.asarray(whole.field(axis)) for axis in "xyz"], axis=1)
 
 
-def _write(path: str, data: bytes) -> None:
-    """Write a new file. `Path.write_bytes` takes twice as long."""
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-    try:
-        left = memoryview(data)
-        while left:
-            left = left[os.write(file, left) :]
-    finally:
-        os.close(file)
-
-
-def _put(path: str, data: bytes, first: str) -> None:
+def _put(path: Path, data: bytes, first: Path) -> None:
     """Write a file, or make it a hard link to the file `first` that holds the same data. Where the file system has no
     links, or no more for this file, all files are written.
     """
@@ -215,7 +220,7 @@ def _put(path: str, data: bytes, first: str) -> None:
         with suppress(OSError):
             os.link(first, path)
             return
-    _write(path, data)
+    path.write_bytes(data)
 
 
 def _replace(part: Path, target: Path) -> None:
@@ -259,3 +264,66 @@ def clear_walks(folder: Path, kept: Container[str]) -> None:
     for path in [] if images.is_symlink() else list(images.glob("*")):
         if path.is_dir() and path.name not in kept:
             _remove(path)
+
+
+class PixelGoal(NamedTuple):
+    """A pixel goal: the column and row of a place in the image, and the number of frames until the walk reaches the
+    place.
+    """
+
+    column: int
+    row: int
+    frames: int
+
+
+def mistake_after(right: NDArray[np.bool_], frame: int) -> int:
+    """Return the end (exclusive) of the frames whose places may be the pixel goal at `frame`. The last of these frames
+    is the one at which the next mistake begins, or the last of the walk.
+
+    right : (n,) whether the right action was taken at each frame. In a mistake, no place may be a goal.
+    """
+    if not right[frame]:
+        return frame + 1
+    wrong = np.flatnonzero(~right[frame:])
+    # The place of the first wrong frame is still on the right way.
+    return frame + int(wrong[0]) + 1 if len(wrong) else len(right)
+
+
+def pixel_goal(
+    camera: CameraConfig,
+    place: F64,
+    heading: float,
+    ahead: F64,
+    depth: NDArray[np.float32],
+    slack: float,
+) -> PixelGoal | None:
+    """Return the pixel at which the camera sees the last visible place of `ahead`, and the number of frames until the
+    agent is there; None if no such place is visible.
+
+    Parameters
+    ----------
+    place, heading : pose of the agent: feet (3,) metres, radians counter-clockwise from −z
+    ahead : (m, 3) feet at the following frames, metres
+    depth : (h, w) metres along the optical axis, 0 where nothing is seen
+    slack : share by which the seen depth may be less than the place's
+
+    Of several frames at one place, the first one counts.
+    """
+    eye, axes = camera_pose(camera, place, heading)
+    tan_x, tan_y = half_extents(camera)
+    x, y, z = (ahead - eye).T
+    right, up, back = (x * axes[0, k] + y * axes[1, k] + z * axes[2, k] for k in range(3))
+    frames = np.flatnonzero((ahead != place).any(axis=1) & (back < 0.0))
+    along = -back[frames]
+    height, width = depth.shape
+    columns = np.floor(((right[frames] / along / tan_x + 1.0) / 2.0 * width).clip(-1.0, width)).astype(int)
+    rows = np.floor(((1.0 - up[frames] / along / tan_y) / 2.0 * height).clip(-1.0, height)).astype(int)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    there = np.where(inside, depth[rows.clip(0, height - 1), columns.clip(0, width - 1)], 0.0)
+    seen = np.flatnonzero((there > 0.0) & (there >= (1.0 - slack) * along))
+    if not len(seen):
+        return None
+    last = frames[seen[-1]]
+    elsewhere = np.flatnonzero((ahead[:last] != ahead[last]).any(axis=1))
+    first = int(elsewhere[-1]) + 1 if len(elsewhere) else 0
+    return PixelGoal(int(columns[seen[-1]]), int(rows[seen[-1]]), first + 1)

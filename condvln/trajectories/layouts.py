@@ -1,42 +1,124 @@
-"""Layouts as views of the hub: each names or links the hub's images and renders nothing.
+"""What all layouts share: the sizes of the agents' actions, and how a layout's folder is written.
 
-A layout opens below the folder of the trajectories and takes one scene after the other; its folder replaces an older
-one when all scenes are done.
+The words and numbers of a layout have no sizes of their own, so walks must be made of the agent's own actions: metres
+of a step forward, degrees of a turn. Two layouts whose sizes differ can't share walks.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
-from condvln.formats.streams import JsonArrayStream, atomic_stream
-from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP
+from condvln.navigation.follower import VLN_CE, ActionSpace
 from condvln.trajectories.cameras import MAIN
-from condvln.trajectories.hub import SceneWalks
 from condvln.trajectories.images import image_path
-from schemas.errors import StoreError
+from schemas.config import TrajectoryConfig
+from schemas.errors import StoreError, UsageError
 
-__all__ = ["AddScene", "Layout", "janusvln", "link", "merged", "navila", "navila_answer", "new_folder", "usable"]
-
-AddScene: TypeAlias = Callable[[SceneWalks], None]
-Layout: TypeAlias = Callable[[Path, str], AbstractContextManager[AddScene]]
-"""Opens a layout below the folder of the trajectories, for a split."""
-
-MOST_MERGED: Final = 3
-"""Most equal actions that NaVILA joins into one answer."""
-HISTORY: Final = 8
-"""Most images of the past in a sample of JanusVLN."""
+__all__ = ["HUBS", "MEANINGS", "Meaning", "link", "main_image", "new_folder", "sized", "usable", "with_hub"]
 
 Row = Mapping[str, Any]
-Actions = NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What an agent's actions mean.
+
+    space : step forward in metres and turn in degrees
+    tilt : degrees of a look down or up; None where the agent has none
+    evidence : where its public code says so
+    """
+
+    space: ActionSpace
+    evidence: str
+    tilt: float | None = None
+
+
+_FIFTEEN: Final = ActionSpace(forward=0.25, turn=15.0)
+_THIRTY: Final = ActionSpace(forward=0.25, turn=30.0)
+
+MEANINGS: Final[Mapping[str, Meaning]] = {
+    "streamvln": Meaning(
+        _FIFTEEN, "InternRobotics/StreamVLN: config/vln_r2r.yaml, and the prompt of streamvln/streamvln_eval.py"
+    ),
+    "snav": Meaning(_THIRTY, "TidalHarley/NavSpace: snav_training/data_generation/render_streamvln.py"),
+    "navila": Meaning(
+        _FIFTEEN, "AnjieCheng/NaVILA: evaluation/vlnce_baselines/navila_trainer.py divides by 25 cm and 15 degrees"
+    ),
+    "uninavid": Meaning(
+        _THIRTY,
+        "jzhzhang/NaVid-VLN-CE, where Uni-NaVid is evaluated: VLN_CE/habitat_extensions/config/"
+        "vlnce_task_navid_r2r.yaml; jzhzhang/Uni-NaVid: offline_eval_uninavid.py turns by 30 degrees a word",
+    ),
+    "janusvln": Meaning(_FIFTEEN, "MIV-XJTU/JanusVLN: config/vln_r2r.yaml"),
+    "internvla-n1": Meaning(
+        _FIFTEEN,
+        "InternRobotics/InternNav: scripts/eval/configs/vln_r2r.yaml; habitat_vln_evaluator.py looks down twice",
+        tilt=15.0,
+    ),
+}
+"""By layout. The layout ``lerobot`` says itself what its actions mean."""
+
+HUBS: Final = ("streamvln", "snav")
+"""Layouts that are the hub's own files, ``annotations.json`` and ``images/``; they differ in the sizes of actions."""
+
+
+def sized(config: TrajectoryConfig, layouts: Sequence[str]) -> TrajectoryConfig:
+    """Return the configuration with the sizes of actions that the layouts mean; its own sizes are for layouts that mean
+    none.
+
+    Raises
+    ------
+    UsageError : two layouts mean different sizes, or the configuration sets others than a layout means; looking walks
+        are not made of these sizes
+    """
+    meant = {name: MEANINGS[name].space for name in layouts if name in MEANINGS}
+    if not meant:
+        return config
+    first, space = next(iter(meant.items()))
+    for name, other in meant.items():
+        if other != space:
+            raise UsageError(
+                f"{first} means {_said(space)}, and {name} means {_said(other)}: one walk can't have both",
+                place="--layout",
+                remedy="Make each in a folder of its own.",
+            )
+    for key, size in (("forward", space.forward), ("turn", space.turn)):
+        if key in config.model_fields_set and getattr(config, key) != size:
+            raise UsageError(
+                f"{first} means {_said(space)}: its words would mean other walks than those of "
+                f"{key}={getattr(config, key):g}",
+                place=f"--walk {key}",
+                remedy=f"Leave it out, or choose another layout than {first}.",
+            )
+    if "looking" in config.walks and space != VLN_CE:
+        raise UsageError(
+            f"{first} means {_said(space)}, and looking walks are made of {_said(VLN_CE)}",
+            place="--walks",
+            remedy="Name other kinds of walks, such as --walks direct.",
+        )
+    return config.model_copy(update={"forward": space.forward, "turn": space.turn})
+
+
+def with_hub(layouts: Sequence[str], config: TrajectoryConfig) -> tuple[str, ...]:
+    """Return the layouts with ``streamvln``, whose files cost nothing, where the walks are made of its actions."""
+    space = ActionSpace(forward=config.forward, turn=config.turn)
+    named = tuple(dict.fromkeys(layouts))
+    if set(named) & set(HUBS) or space != MEANINGS["streamvln"].space:
+        return named
+    return ("streamvln", *named)
+
+
+def _said(space: ActionSpace) -> str:
+    return f"steps of {space.forward:g} m and turns of {space.turn:g}°"
 
 
 def usable(row: Row) -> NDArray[np.bool_]:
@@ -45,107 +127,8 @@ def usable(row: Row) -> NDArray[np.bool_]:
     return found
 
 
-def merged(actions: Actions, right: NDArray[np.bool_], most: int = MOST_MERGED) -> Iterator[tuple[int, int, int]]:
-    """Yield (first frame, action, number of actions) for each run of at most `most` equal actions; STOP is always
-    alone.
-
-    A run has no frame of a mistake: what follows a mistake is not what the frames before it lead to.
-    """
-    at = 0
-    while at < len(actions):
-        end = at + 1
-        if right[at]:
-            while end < len(actions) and end - at < most and right[end] and actions[end] == actions[at] != STOP:
-                end += 1
-            yield at, int(actions[at]), end - at
-        at = end
-
-
-def navila_answer(action: int, count: int) -> str:
-    """Return NaVILA's answer sentence for `count` equal actions, at most three."""
-    if action == STOP:
-        return "The next action is stop."
-    if action == FORWARD:
-        return f"The next action is move forward {25 * count} cm."
-    return f"The next action is turn {'left' if action == LEFT else 'right'} {15 * count} degrees."
-
-
-@contextmanager
-def navila(folder: Path, split: str) -> Iterator[AddScene]:
-    """Write NaVILA's samples to ``navila/annotations.json``, as JSON lines. The image paths are relative to
-    ``images/``.
-
-    A step joins up to three equal actions; its frames are all frames so far, the present one last.
-    """
-    with atomic_stream(folder / "navila" / "annotations.json") as stream:
-
-        def add(scene: SceneWalks) -> None:
-            for row in scene.trajectories():
-                names = [_image(row, k).split("/", 1)[1] for k in range(row["n_frames"])]
-                actions = np.array(row["actions"], np.int8)
-                for at, action, count in merged(actions, usable(row)):
-                    entry = {
-                        "video_id": f"{row['trajectory']}_{at}",
-                        "q": row["instruction_text"],
-                        "a": navila_answer(action, count),
-                        "frames": names[: at + 1],
-                        "episode_id": row["episode_id"],
-                        "kind": row["kind"],
-                    }
-                    for _ in range(row["repeats"][at]):
-                        stream.write(orjson.dumps(entry) + b"\n")
-
-        yield add
-
-
-_PROMPT: Final = (
-    "You are a visual language navigation model. Follow the instruction: compare it with what you see, and choose the "
-    "next action.\n Past observations:{past}\n Present observation:<image>\n Your task is to {task}\n Choose one of "
-    "these actions:\n MOVE_FORWARD\n TURN_LEFT\n TURN_RIGHT\n STOP."
-)
-_JANUS: Final = {STOP: "STOP", FORWARD: "MOVE_FORWARD", LEFT: "TURN_LEFT", RIGHT: "TURN_RIGHT"}
-
-
-@contextmanager
-def janusvln(folder: Path, split: str) -> Iterator[AddScene]:
-    """Write JanusVLN's samples to ``janusvln/train.json``, with image paths relative to the folder of the trajectories.
-    Also link the frames of each episode into ``janusvln/trajectory_data/R2R/<split>/<episode id>/``.
-
-    Only the frames of gold walks are linked, since folders are named by episode alone. A frame's name has the action
-    and ends in ``.png``, which JanusVLN's script looks for; the content is the hub's JPEG.
-    """
-    target = folder / "janusvln"
-    with new_folder(target) as part, atomic_stream(part / "train.json", closing=b"\n]\n") as stream:
-        stream.write(b"[\n")
-        samples = JsonArrayStream(stream)
-
-        def add(scene: SceneWalks) -> None:
-            for row in scene.trajectories():
-                right = usable(row)
-                for at, action in enumerate(row["actions"]):
-                    past = range(at + 1) if at <= HISTORY else np.linspace(0, at, HISTORY + 1, dtype=int).tolist()
-                    images = [_image(row, k) for k in past]
-                    prompt = _PROMPT.format(past="<image>" * (len(images) - 1), task=row["instruction_text"])
-                    sample = {
-                        "id": f"{row['episode_id']}/{row['trajectory']}/{at}",
-                        "conversations": [
-                            {"from": "human", "value": prompt},
-                            {"from": "gpt", "value": _JANUS[action]},
-                        ],
-                        "images": images,
-                    }
-                    for _ in range(row["repeats"][at] if right[at] else 0):
-                        samples.entry(orjson.dumps(sample))
-                if row["kind"] == "gold":
-                    frames = part / "trajectory_data" / "R2R" / split / str(row["episode_id"])
-                    frames.mkdir(parents=True)
-                    for at, action in enumerate(row["actions"]):
-                        link(folder / _image(row, at), frames / f"rgb_{at:04d}_{_JANUS[action].lower()}.png")
-
-        yield add
-
-
-def _image(row: Row, frame: int) -> str:
+def main_image(row: Row, frame: int) -> str:
+    """Return the path of the main camera's image of a frame, relative to the folder of the trajectories."""
     return image_path(row["frames_of"], MAIN, frame)
 
 

@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from condvln.trajectories.cameras import Cameras, is_depth
-from condvln.trajectories.hub import SceneWalks
+from condvln.trajectories.hub import AddScene, Hub, SceneWalks
 from condvln.trajectories.images import writing
-from condvln.trajectories.layouts import AddScene, new_folder
+from condvln.trajectories.layouts import new_folder
 
 __all__ = ["lerobot"]
 
@@ -42,28 +42,29 @@ Row = Mapping[str, Any]
 
 
 @contextmanager
-def lerobot(folder: Path, split: str, cameras: Cameras) -> Iterator[AddScene]:
+def lerobot(hub: Hub) -> Iterator[AddScene]:
     """Write a LeRobot v3.0 dataset to ``lerobot/``: an episode for each walk, a row for each frame.
 
     Raises
     ------
     StoreError : a file can't be written
     """
-    with new_folder(folder / "lerobot") as part:
-        dataset = _Dataset(folder, part, cameras)
+    with new_folder(hub.folder / "lerobot") as part:
+        dataset = _Dataset(hub, part)
         try:
             yield dataset.add
         finally:
             dataset.close()
-        dataset.finish(split)
+        dataset.finish(hub.split)
 
 
 class _Dataset:
     """The tables of a dataset; one walk is in memory at a time."""
 
-    def __init__(self, folder: Path, target: Path, cameras: Cameras) -> None:
-        self._folder, self._target, self._cameras = folder, target, sorted(cameras)
-        self._features = _features(cameras)
+    def __init__(self, hub: Hub, target: Path) -> None:
+        self._folder, self._target, self._cameras = hub.folder, target, sorted(hub.cameras)
+        self._features = _features(hub.cameras)
+        self._features["action"]["info"] = {"forward_metres": hub.space.forward, "turn_degrees": hub.space.turn}
         self._schema = pa.schema([_field(name, feature) for name, feature in self._features.items()])
         self._tasks: dict[str, int] = {}
         self._statistics = {name: _Statistics() for name in self._features}

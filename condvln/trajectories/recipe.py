@@ -1,14 +1,14 @@
 """Recipes of trajectories: their walks, poses, cameras and hashes, from which the images can be made again.
 
 Every folder of trajectories holds its recipe. A recipe may come from somebody else, so everything in it is checked
-before it is used.
+before it is used. Whose images may be passed on is a matter of the datasets' terms, which a folder's README states.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
@@ -18,18 +18,28 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from condvln.formats.parquet_rows import refuse_parquet_bombs
 from condvln.formats.regular_file import read_regular
+from condvln.sources.family import FAMILIES
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
+from schemas.base import first_fault
 from schemas.config import CameraConfig, TrajectoryConfig
-from schemas.errors import FormatError, MissingFileError
-from schemas.first_fault import first_fault
-from schemas.trajectory_tables import STEPS, TRAJECTORY_TABLES
+from schemas.errors import FormatError, MissingFileError, UsageError
+from schemas.tables import STEPS, TRAJECTORY_TABLES
 
-__all__ = ["RECIPE_FILES", "RECORD", "Recipe", "RecipeRecord", "RecipeScene"]
+__all__ = [
+    "RECIPE_FILES",
+    "RECORD",
+    "Recipe",
+    "RecipeRecord",
+    "RecipeScene",
+    "licences",
+    "read_me",
+    "refuse_unlicensed",
+]
 
 RECORD: Final = "trajectories.json"
 """The folder's own record: layouts, cameras, configuration, counts and versions. It is written last."""
@@ -37,8 +47,6 @@ RECORD: Final = "trajectories.json"
 RECIPE_FILES: Final = ("README.md", "left_out.parquet", "poses.parquet", RECORD, "trajectories.parquet")
 """Files of a folder of trajectories that hold nothing of the scenes' images."""
 
-_MOST_PNG_LEVEL: Final = 3
-_PILLOWS_PNG_LEVEL: Final = 9
 _REMEDY: Final = "Ask for the recipe again."
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 SplitText = Annotated[str, Field(pattern=r"^[a-z_]{1,20}$")]
@@ -49,8 +57,8 @@ class RecipeRecord(BaseModel):
     """What ``trajectories.json`` says of how images are made.
 
     scene_files : hash over the source files of each scene, by ``<family>/<scene>``
-    encoders : what wrote the images, with its version, by suffix; empty in older records
-    decoders : what read the textures, with its version, by their kinds; empty in older records
+    encoders : what wrote the images, with its version, by suffix
+    decoders : what read the textures, with its version, by their kinds
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -59,25 +67,11 @@ class RecipeRecord(BaseModel):
     layouts: tuple[str, ...]
     cameras: dict[CameraName, CameraConfig]
     config: TrajectoryConfig
-    export_snapshot: str = ""
-    scene_files: dict[str, str] = {}
-    libraries: dict[str, str] = {}
-    encoders: dict[str, str] = {}
-    decoders: dict[str, str] = {}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _lower_level(cls, found: Any) -> Any:
-        """Lower the compression level of depth images to the highest one of the encoder here. Older records name no
-        encoder; Pillow wrote their images, at levels up to 9. The level does not change the pixels.
-        """
-        config = found.get("config") if isinstance(found, dict) else None
-        if not isinstance(config, dict) or found.get("encoders"):
-            return found
-        level = config.get("png_level")
-        if not isinstance(level, int) or not _MOST_PNG_LEVEL < level <= _PILLOWS_PNG_LEVEL:
-            return found
-        return {**found, "config": {**config, "png_level": _MOST_PNG_LEVEL}}
+    export_snapshot: str
+    scene_files: dict[str, str]
+    libraries: dict[str, str]
+    encoders: dict[str, str]
+    decoders: dict[str, str]
 
 
 class RecipeScene(NamedTuple):
@@ -227,3 +221,75 @@ class Recipe:
         if empty:
             raise FormatError("a value is missing", where=path, place=empty[0], remedy=_REMEDY)
         return table
+
+
+def licences(families: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the name, terms and credit of each family, and whether its images may be passed on, by family."""
+    return {
+        name: {
+            "name": FAMILIES[name].name,
+            "terms": FAMILIES[name].terms,
+            "credit": FAMILIES[name].credit,
+            "images_may_be_shared": not FAMILIES[name].licensed,
+        }
+        for name in sorted(set(families) & FAMILIES.keys())
+    }
+
+
+def refuse_unlicensed(families: Iterable[str]) -> None:
+    """Refuse to make images of scenes if the terms of their family do not allow images to be passed on.
+
+    Raises
+    ------
+    UsageError : there is such a family
+    """
+    closed = [FAMILIES[name].name for name in sorted(set(families) & FAMILIES.keys()) if FAMILIES[name].licensed]
+    if closed:
+        raise UsageError(
+            f"the terms of {' and '.join(closed)} forbid to pass on images of the scenes",
+            place="--licensed",
+            remedy="Add --licensed if you have accepted these terms and keep the images to yourself; or add "
+            "--recipe-only to write what may be shared: actions, poses, cameras and hashes, without images.",
+        )
+
+
+def read_me(split: str, terms: Mapping[str, Mapping[str, Any]], files: Sequence[str], *, images: bool) -> str:
+    """Return the text of the folder's ``README.md``.
+
+    terms : by family, as `licences` returns them
+    files : files of the recipe
+    images : whether the folder has images
+    """
+    closed = [row["name"] for row in terms.values() if not row["images_may_be_shared"]]
+    lines = [
+        "# Trajectories",
+        "",
+        f"Walks of the split `{split}`, made by `condvln trajectories`.",
+        "",
+        "| dataset | terms | images may be passed on | credit |",
+        "|---|---|---|---|",
+    ]
+    for row in terms.values():
+        shared = "yes, under these terms" if row["images_may_be_shared"] else "no"
+        lines.append(f"| {row['name']} | {row['terms']} | {shared} | {row['credit']} |")
+    lines.append("")
+    recipe = ", ".join(f"`{name}`" for name in files)
+    if not images:
+        lines.append("This folder is a recipe: it has no images.")
+    elif closed:
+        lines.append(
+            f"**Do not pass on the images of {' and '.join(closed)}**, nor files made from them. What may be shared is "
+            f"the recipe: {recipe}, also in `recipe/`."
+        )
+    else:
+        lines.append(f"The recipe is in `recipe/`: {recipe}.")
+    lines += [
+        "",
+        "The recipe gives the same images again on a computer that has the datasets:",
+        "",
+        "```",
+        "condvln trajectories --from-recipe DIR --data FAMILY=DIR --out OUT",
+        "```",
+        "",
+    ]
+    return "\n".join(lines)

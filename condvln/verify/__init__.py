@@ -3,10 +3,9 @@
 It shares no code with the modules that generate relations, instructions and episodes.
 """
 
-from condvln.verify.certificate import FACTS, Certificate, Disagreement
+from condvln.verify.certificate import FACTS, Certificate, Disagreement, VerifierRules
 from condvln.verify.observability import Surfaces
 from condvln.verify.proof import prove_export, prove_runs
-from condvln.verify.rules import VerifierRules
 from condvln.verify.text_reader import TextReading, Unreadable, read
 
 __all__ = [

@@ -1,13 +1,31 @@
-"""The certificate of an episode: which facts were checked, and all disagreements between the files and the scene."""
+"""The certificate of an episode: which facts were checked by which rules, and all disagreements between the files and
+the scene.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Literal
 
-__all__ = ["FACTS", "Certificate", "Disagreement"]
+from schemas.config import (
+    AgentConfig,
+    Config,
+    EpisodeConfig,
+    GoalsConfig,
+    PlacesConfig,
+    SamplingConfig,
+    TextConfig,
+    Thresholds,
+)
+
+__all__ = [
+    "FACTS",
+    "Certificate",
+    "Disagreement",
+    "VerifierRules",
+]
 
 FACTS: Final[Mapping[str, str]] = {
     # text
@@ -22,7 +40,7 @@ FACTS: Final[Mapping[str, str]] = {
     "room_named": "a room is named by its type in the scene",
     "room_unique": "a room's name fits exactly one room",
     "room_anchor_needed": "a room is named by an object only if its type is ambiguous",
-    "seeable": "every object named in the text is visible from where an agent can stand in its room",
+    "seeable": "every object named in the text is recognised from where an agent can stand in its room",
     "anchor_unique": "an anchor is the only object of its label in its room",
     "anchor_extent": "the extent of an anchor is known",
     "whole_object": "no object named in the text is a piece of one that a region border cuts",
@@ -34,6 +52,7 @@ FACTS: Final[Mapping[str, str]] = {
     "referent_clear": "a phrase refers to objects of one room only, whose boxes are what their labels say",
     "referent_single": "a qualified phrase refers to an object that no other box may be a part of",
     "absence_known": "absence is claimed only for completely annotated rooms",
+    "absence_seen": "an agent can see that a room has nothing with a label that is said to be, or not to be, there",
     "absent_is_elsewhere": "a label claimed absent occurs in another room of the scene",
     "bearing_room": "objects said to be left, right, ahead or behind are in the room of the start only",
     "condition_decided": "a condition is true or false with margin",
@@ -54,7 +73,7 @@ FACTS: Final[Mapping[str, str]] = {
     "condition_matters": "for some truths of the others, each condition changes the goal",
     "independent_conditions": "each condition's truth is independent of its own wording and of the other conditions",
     # places
-    "navmesh": "path and hash of the navmesh",
+    "navmesh": "path and hash of the navmesh, or of the viewpoint graph",
     "success_distance": "success distance by the number of rooms",
     "standable": "starts, subgoals and goals are navigable",
     "island": "starts, subgoals and goals lie on one island that is wide enough",
@@ -70,14 +89,31 @@ FACTS: Final[Mapping[str, str]] = {
     "reference_path": "corners of the shortest path through the subgoals",
     "distance_range": "the distance from the start to every leaf is in the range",
     "detour": "in scenes of several rooms, a leaf's route is not much longer than the distance to it",
-    "start_apart": "the start lies outside twice the success distance of every stop",
-    "leaves_apart": "leaves are at least two success distances plus the gap apart",
+    "start_apart": "the start lies outside twice the success distance of every stop; on viewpoints, stops differ",
+    "leaves_apart": "leaves are at least two success distances plus the gap apart; on viewpoints, 3 m along the graph",
     "path_apart": "no leaf's path enters another leaf's success ball",
-    "budget": "the step budget equals the configured one, or follows from the number of words and the leaves' actions",
+    "budget": "the step budget equals the configured one, or follows from the number of words and the leaves' actions; "
+    "on viewpoints, it is twice the longest path",
+    # paths over viewpoints
+    "viewpoints": "every place of a path is a viewpoint that the scan's graph includes",
+    "panoramas": "a viewpoint of a path is a panorama of the scan, at the same place",
+    "viewpoint_edges": "consecutive viewpoints of a path are joined by an edge that is unobstructed both ways",
+    "viewpoint_path": "the R2R path is the one through the viewpoints of the start and of the gold leaf's stops",
+    "viewpoint_length": "the R2R path's distance is the sum of its edges",
     # sight
     "surfaces": "whether boxes replaced surfaces in visibility tests",
+    "degrees": "how large the evidence for each condition on the gold path appears from the best place",
+    "stop_seen": "every stop is recognised from all points at which one may stop",
     "observability": "from where the evidence for each condition on the gold path is visible",
     "first_view": "whether it is visible from the start without turning",
+    # looking paths
+    "looking_path": "the looking path leads over the navmesh from the start through the gold leaf's stops to its goal",
+    "looking_length": "length of the looking path",
+    "looking_detour": "the looking path is not much longer than the gold leaf's route",
+    "looking_actions": "the actions lead along the looking path, past the stops, and end with the goal ahead",
+    "looking_budget": "the actions leave a third of the step budget",
+    "looking_decided": "the frame at which the evidence seen so far decides each condition on the gold path",
+    "looking_acted": "each condition is decided before the walk comes to a stop that only the branch taken has",
     # files
     "record": "the VLN-CE record agrees with the manifest",
     "ground_truth": "ground-truth locations lie along the gold path, and actions lead to the goal",
@@ -112,10 +148,11 @@ class Disagreement:
 
 @dataclass(slots=True)
 class Certificate:
-    """The result for one episode.
+    """The result for one episode, for one path over viewpoints, or for one text that has no episode.
 
     checked : how often each kind of fact was checked
     conditions : what was found about each condition, in the program's order
+    unproven : facts that can't be proven of this episode or text, each with the reason
     """
 
     episode_id: int | str
@@ -125,6 +162,8 @@ class Certificate:
     checked: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     conditions: list[dict[str, Any]] = field(default_factory=list)
     disagreements: list[Disagreement] = field(default_factory=list)
+    unproven: dict[str, str] = field(default_factory=dict)
+    kind: Literal["episode", "path", "text"] = "episode"
 
     @property
     def proven(self) -> bool:
@@ -149,18 +188,6 @@ class Certificate:
             self.disagreements.append(Disagreement(fact, place, claimed, found))
         return agreed
 
-    def held(self, fact: str, times: int = 1) -> None:
-        """Count `times` checks of a fact that agreed."""
-        assert fact in FACTS, fact
-        if times:
-            self.checked[fact] += times
-
-    def all_held(self, facts: Mapping[str, int]) -> None:
-        """Count checks that agreed: `facts` has how many of each fact."""
-        checked = self.checked
-        for fact, times in facts.items():
-            checked[fact] += times
-
     def document(self) -> dict[str, Any]:
         """Return the certificate as JSON."""
         return {
@@ -168,10 +195,42 @@ class Certificate:
             "source": self.source,
             "scene_id": self.scene_id,
             "split": self.split,
+            "kind": self.kind,
             "proven": self.proven,
             "checked": dict(sorted(self.checked.items())),
             "conditions": self.conditions,
+            "unproven": self.unproven,
             "disagreements": [
                 {"fact": d.fact, "place": d.place, "claimed": d.claimed, "found": d.found} for d in self.disagreements
             ],
         }
+
+
+@dataclass(frozen=True, slots=True)
+class VerifierRules:
+    """The parts of a configuration that decide whether an episode is valid."""
+
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    places: PlacesConfig = field(default_factory=PlacesConfig)
+    goals: GoalsConfig = field(default_factory=GoalsConfig)
+    episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
+    text: TextConfig = field(default_factory=TextConfig)
+    agent: AgentConfig = field(default_factory=AgentConfig)
+    anchor_size: float = SamplingConfig().anchor_size
+    language: str = "en"
+    directions: str = "compass"
+
+    @classmethod
+    def of(cls, config: Config) -> VerifierRules:
+        """Return the rules of a configuration."""
+        return cls(
+            config.thresholds,
+            config.places,
+            config.goals,
+            config.episodes,
+            config.text,
+            config.agent,
+            config.sampling.anchor_size,
+            config.instructions.language,
+            config.instructions.directions,
+        )

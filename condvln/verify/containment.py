@@ -8,11 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from condvln.scene import OrientedBox, SceneObject
-from condvln.verify.surroundings import Said
+from condvln.scene import SceneObject
+from condvln.verify.surroundings import Point, Said, Thing
 from condvln.verify.words import Words
 from schemas.config.constants import (
     INSIDE_SHARE,
@@ -31,8 +28,7 @@ FROM_SCANS: Final = ("gibson", "hm3d", "mp3d")
 IN_FURNITURE: Final = "drawer"
 """Labels of objects whose top lies inside the furniture they belong to, so that nothing rests on it."""
 
-F64 = NDArray[np.float64]
-_Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+_Box = tuple[Point, Point]
 
 
 def shut_away(
@@ -80,8 +76,9 @@ class _Holder:
         self.kind = meaning.containers.get(label, "")
         self.shut = self.kind == "shut" and not (item.openness is not None and item.openness >= OPEN_SHARE)
         self.structure = label in meaning.structure
-        self.box = None if item.box is None else _whole(item.box)
-        self.tops = [_whole(_bounds(part)) for part in item.parts] or ([] if self.box is None else [self.box])
+        thing = Thing.of(item, label)
+        self.box = thing.box
+        self.tops = [solid.box for solid in thing.solids() if solid.box is not None]
         self.links: list[tuple[_Holder, bool]] | None = None
         x, y, z = (0, 0, 0) if self.box is None else map(int.__sub__, self.box[1], self.box[0])
         self.area = max(x, 1) * max(z, 1)
@@ -154,14 +151,3 @@ def _share_inside(box: _Box, holder: _Box) -> float:
 
 def _sides(box: _Box) -> list[int]:
     return [high - low for low, high in zip(*box, strict=True)]
-
-
-def _bounds(part: OrientedBox) -> F64:
-    """Return the axis-aligned bounds (2, 3) of an oriented box."""
-    reach = np.abs(part.rotation) @ part.half_extents
-    return np.array([part.center - reach, part.center + reach])
-
-
-def _whole(box: F64) -> _Box:
-    low, high = ((round(float(x) * _MM), round(float(y) * _MM), round(float(z) * _MM)) for x, y, z in box)
-    return low, high

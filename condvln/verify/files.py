@@ -1,26 +1,38 @@
-"""Read an export's files in parallel, one scene at a time."""
+"""Read an export's files in parallel, one scene at a time, and check that the export is complete: its files and numbers
+of episodes are those that its index, ``export.json``, lists. Proofs of single episodes say nothing about missing ones.
+"""
 
 from __future__ import annotations
 
-import re
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from pydantic import ValidationError
 
-from condvln.formats.json_entries import entries, json_lines, opened, parsed
-from condvln.formats.json_scan import new_state, scan
-from schemas.errors import FormatError, MissingFileError
+from condvln.export.contents import INDEX, ORIGIN, document_digest, read_document, read_index
+from condvln.formats.json_entries import entries, json_lines, parsed
+from condvln.formats.regular_file import open_regular
+from schemas.episode import Evidence
+from schemas.errors import FormatError, MissingFileError, shown_path
 from schemas.evaluation import ManifestEpisode
-from schemas.file_name import shown_path
+from schemas.program import Category, Program
 
-__all__ = ["ExportFiles", "Row", "SceneRun", "Unread", "split_names"]
+__all__ = [
+    "UNPROVEN",
+    "ExportFiles",
+    "Fault",
+    "Row",
+    "SceneRun",
+    "UnplacedText",
+    "find_faults",
+    "row_counts",
+    "split_names",
+]
 
-_BLOCK: Final = 1 << 20
-_EPISODES: Final = re.compile(rb'\s*\{\s*"episodes"\s*:\s*(?=\[)')
 _REMEDY: Final = "Export again"
 
 
@@ -185,41 +197,154 @@ def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     ------
     FormatError, MissingFileError : the file does not exist or has another format
     """
-    for number, text in enumerate(_elements(path)):
+    for number, (_, text) in enumerate(entries(path, inside="episodes")):
         record = parsed(text, path, f"episodes.{number}")
         if not isinstance(record, dict):
             raise FormatError("an episode is not an object", where=path, place=f"episodes.{number}", remedy=_REMEDY)
         yield str(record.get("episode_id")), record
 
 
-def _elements(path: Path) -> Iterator[bytes]:
-    """Yield the bytes of each entry of the array ``episodes``, which must be the first item of the file."""
-    state, pending, opened_array = new_state(), bytearray(), False
-    with opened(path) as file:
-        while block := file.read(_BLOCK):
-            if not opened_array:
-                head = _EPISODES.match(block)
-                if head is None:
-                    raise FormatError(
-                        "the file does not begin with the key 'episodes' and a list", where=path, remedy=_REMEDY
-                    )
-                block, opened_array = block[head.end() :], True
-            begin = 0
-            for end in scan(np.frombuffer(block, np.uint8), state).tolist():
-                pending += block[begin:end]
-                begin = end
-                element = bytes(pending).lstrip(b"[, \t\r\n")
-                pending.clear()
-                if element.strip() == b"]":
-                    while file.read(_BLOCK):  # a damaged end is noticed only on reading it
-                        pass
-                    return
-                yield element
-            pending += block[begin:]
-    raise FormatError("is empty or truncated", where=path, remedy=_REMEDY)
-
-
 def _truths(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for name, text in entries(path):
         entry = parsed(text, path, f"episode {name}")
         yield str(name), entry if isinstance(entry, dict) else {}
+
+
+UNPROVEN: Final = {
+    "seeable": "the scene has no navmesh, so it is unknown where an agent can stand",
+    "goal_reach": "the scene has no navmesh, so it is unknown whether an agent can walk to the stops",
+    "observability": "the text has no start, so it is unknown from where the evidence is visible",
+}
+"""Facts of a text that need a navmesh or a start, with the reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnplacedText:
+    """A row of the instructions table that has a text and no episode; the fields are those of a row of the manifest."""
+
+    instruction_id: str
+    group_id: str | None
+    source: str
+    scene_id: str
+    category: Category
+    depth: int
+    chain: int
+    composition: str
+    moves: int
+    words: int
+    gold_leaf: int
+    instruction_text: str
+    program: Program
+    observability: None = None
+    evidence_in_view: None = None
+    evidence: tuple[Evidence, ...] | None = None
+
+    @classmethod
+    def of(cls, source: str, row: Mapping[str, Any]) -> UnplacedText:
+        """Return a row of the table as a text. Raises ValidationError if its program is none."""
+        program = {name: row[name] for name in ("category", "conditions", "branches", "leaves")}
+        names = ("instruction_id", "group_id", "scene_id", "category", "depth", "chain", "composition", "moves")
+        return cls(
+            source=source,
+            words=row["words"],
+            gold_leaf=row["gold_leaf"],
+            instruction_text=row["text"],
+            program=Program.model_validate(program),
+            **{name: row[name] for name in names},
+        )
+
+
+_READ: Final = ("manifest/*.jsonl", "vlnce/*/*.json.gz", "vlnce/*/content/*.json.gz")
+"""Folders whose files count as episodes, whether listed or not."""
+_OF_A_SPLIT: Final = ("manifest/{0}.jsonl", "vlnce/{0}/{0}.json.gz", "vlnce/{0}/{0}_gt.json.gz")
+_BLOCK: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A file of the export, and what is wrong with it."""
+
+    file: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.what}"
+
+    def document(self) -> dict[str, str]:
+        """Return the fault as plain JSON values."""
+        return asdict(self)
+
+
+def find_faults(folder: Path) -> Iterator[Fault]:
+    """Yield each difference between an export folder and the export's index, ``export.json``. A complete folder yields
+    nothing.
+    """
+    index = read_index(folder)
+    if index is None:
+        yield Fault(INDEX, "is missing or truncated, so the expected content is unknown")
+        return
+    if index.get("digest") != document_digest(index):
+        yield Fault(INDEX, "was changed or truncated after the export: its digest differs")
+    listed, episodes = index.get("files"), index.get("episodes")
+    if not isinstance(listed, dict) or not isinstance(episodes, dict):
+        yield Fault(INDEX, "does not list the export's files and episodes")
+        return
+    yield from _faults_of_origin(folder, index)
+    for name, entry in sorted(listed.items()):
+        yield from _faults_of_file(folder / name, name, entry)
+    for split, count in episodes.items():
+        for name in (pattern.format(split) for pattern in _OF_A_SPLIT):
+            if name not in listed:
+                yield Fault(name, f"is not listed in {INDEX}, which has {count} episodes of {split}")
+    for path in sorted(path for pattern in _READ for path in folder.glob(pattern)):
+        name = shown_path(path.relative_to(folder).as_posix())
+        if name not in listed:
+            yield Fault(name, f"is not listed in {INDEX}")
+    for split, rows in row_counts(folder).items():
+        if split in episodes and rows != episodes[split]:
+            yield Fault(f"manifest/{split}.jsonl", f"holds {rows} episodes, {INDEX} says {episodes[split]}")
+
+
+def row_counts(folder: Path) -> dict[str, int]:
+    """Return the number of rows of each manifest, by split; 0 for one that can't be read."""
+    counts = {}
+    for split in split_names(folder):
+        counts[split] = 0
+        with suppress(OSError), open_regular(folder / "manifest" / f"{split}.jsonl") as lines:
+            counts[split] = sum(1 for line in lines if line.strip())
+    return counts
+
+
+def _faults_of_origin(folder: Path, index: Mapping[str, Any]) -> Iterator[Fault]:
+    origin = read_document(folder / ORIGIN)
+    if origin is None:
+        yield Fault(ORIGIN, "is missing or truncated")
+    elif origin.get("digest") != document_digest(origin):
+        yield Fault(ORIGIN, "was changed or truncated after the export: its digest differs")
+    elif origin.get("snapshot") != index.get("snapshot"):
+        yield Fault(ORIGIN, f"is of snapshot {origin.get('snapshot')}, {INDEX} of {index.get('snapshot')}")
+
+
+def _faults_of_file(path: Path, name: str, entry: Any) -> Iterator[Fault]:
+    try:
+        size, digest = int(entry["bytes"]), str(entry["sha256"])
+    except (TypeError, KeyError, ValueError):
+        yield Fault(name, f"is listed in {INDEX} without its size and hash")
+        return
+    try:
+        found = path.stat().st_size
+        if found != size:
+            yield Fault(name, f"has {found} bytes, {INDEX} says {size}")
+            return
+        if _sha256(path) != digest:
+            yield Fault(name, f"has another hash than {INDEX} lists")
+    except OSError as error:
+        yield Fault(name, f"can't be read: {error.strerror or error}; {INDEX} lists it with {size} bytes")
+
+
+def _sha256(path: Path) -> str:
+    state = hashlib.sha256()
+    with open_regular(path) as file:
+        while block := file.read(_BLOCK):
+            state.update(block)
+    return state.hexdigest()

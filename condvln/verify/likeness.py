@@ -1,18 +1,23 @@
 """Doubts that boxes alone can't settle: two boxes may be one object, an unlabelled object may have a certain label, a
-table may pass for a counter, an object may have fallen over.
+table may pass for a counter, an object may have fallen over; in scans, an object may lie in two rooms, or be a piece of
+one that an annotation has cut at the border of two regions.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
+import shapely
 
+from condvln.scene import Room, Scene, SceneObject
 from condvln.verify.containment import FROM_SCANS
 from condvln.verify.surroundings import Thing, footprint_gap, shared_sides
-from condvln.verify.words import Bounds
+from condvln.verify.words import Bounds, Words
 from schemas.config.constants import (
+    BORDER_SHARE,
     COUNTER_HEIGHT,
     COUNTER_LENGTH,
     DOUBLE_CENTRES,
@@ -35,9 +40,11 @@ from schemas.config.constants import (
 )
 
 __all__ = [
+    "astride_rooms",
     "has_fallen",
     "is_odd_sized",
     "is_part",
+    "left_apart",
     "looks_like",
     "may_be_one",
     "may_be_twins",
@@ -123,9 +130,9 @@ def is_part(thing: Thing, things: Iterable[Thing], parts: Container[str], named:
     """Return whether an object is a shelf or drawer that lies mostly inside a larger piece of other furniture."""
     if thing.label not in parts or thing.box is None:
         return False
-    volume = _volume(thing)
+    volume = thing.volume()
     for other in things:
-        if other.box is None or other.label in parts or other.label not in named or _volume(other) <= volume:
+        if other.box is None or other.label in parts or other.label not in named or other.volume() <= volume:
             continue
         if volume and math.prod(shared_sides(thing, other)) >= PART_INSIDE * volume:
             return True
@@ -178,13 +185,91 @@ def has_fallen(thing: Thing, floor: float) -> bool:
     return tilt > FALLEN_DEGREES and lift <= 1000.0 * FALLEN_OFF_FLOOR
 
 
-def _volume(thing: Thing) -> int:
-    assert thing.box is not None
-    return math.prod(high - low for low, high in zip(*thing.box, strict=True))
-
-
 def _sides(thing: Thing) -> tuple[int, int, int]:
     """Return the shorter and the longer side of the footprint, and the height, in millimetres."""
     assert thing.box is not None
     short, long = sorted(thing.ground_sides())
     return short, long, thing.box[1][1] - thing.box[0][1]
+
+
+def astride_rooms(
+    scene: Scene, label_of: Callable[[SceneObject], str], meaning: Words
+) -> list[tuple[SceneObject, frozenset[str]]]:
+    """Return (object, ids of the other rooms) for each object whose footprint extends into the outlines of other rooms
+    at the same height. Fixed objects, and objects that text never names, are left out.
+    """
+    if scene.family not in FROM_SCANS:
+        return []
+    outlines = [(room, shapely.Polygon(room.polygon).buffer(0.0)) for room in scene.rooms if room.polygon is not None]
+    found = []
+    for item in scene.objects:
+        label = label_of(item)
+        if item.box is None or label not in meaning.nouns or label in meaning.roles["fixed"]:
+            continue
+        (x0, bottom, z0), (x1, top, z1) = item.box.tolist()
+        ground = shapely.box(x0, z0, x1, z1)
+        others = {
+            room.room_id
+            for room, outline in outlines
+            if room.room_id != item.room_id
+            and not (bottom >= room.ceiling_y or top <= room.floor_y)
+            and ground.area > 0.0
+            and ground.intersection(outline).area / ground.area >= BORDER_SHARE - 1e-9
+        }
+        if others:
+            found.append((item, frozenset(others)))
+    return found
+
+
+TOUCHING: Final = 0.02
+"""Largest distance in metres between the boxes of two pieces, and from a piece to the other's region."""
+SAME_SECTION: Final = 0.8
+"""Least share of the smaller cross-section that the other one covers."""
+CUT_FAMILIES: Final = ("mp3d",)
+"""Families that are annotated region by region."""
+
+
+def left_apart(scene: Scene) -> frozenset[str]:
+    """Return the ids of all objects that look like a piece of a larger object whose other pieces are in other regions
+    of the same level.
+
+    An object that the source has merged (warning ``object_cut``) is larger than its pieces, and is not compared again.
+    """
+    if scene.family not in CUT_FAMILIES:
+        return frozenset()
+    joined = {warning.where for warning in scene.warnings if warning.code == "object_cut"}
+    things = [item for item in scene.objects if item.aabb is not None and item.object_id not in joined]
+    found: set[str] = set()
+    for k, one in enumerate(things):
+        for other in things[k + 1 :]:
+            if one.raw_label != other.raw_label or one.room_id == other.room_id:
+                continue
+            rooms = scene.room_of.get(one.room_id), scene.room_of.get(other.room_id)
+            if rooms[0] is None or rooms[1] is None or rooms[0].level != rooms[1].level:
+                continue
+            if _continues(one, other) and _reaches(one, rooms[1]) and _reaches(other, rooms[0]):
+                found |= {one.object_id, other.object_id}
+    return frozenset(found)
+
+
+def _continues(one: SceneObject, other: SceneObject) -> bool:
+    """Return whether two boxes touch and one continues the other with the same cross-section."""
+    assert one.aabb is not None
+    assert other.aabb is not None
+    shared = [float(min(one.aabb[1][k], other.aabb[1][k]) - max(one.aabb[0][k], other.aabb[0][k])) for k in range(3)]
+    if min(shared) < -TOUCHING - 1e-9:
+        return False
+    across = 2 if shared[0] <= shared[2] else 0
+    for k in (1, across):
+        smaller = min(float(item.aabb[1][k] - item.aabb[0][k]) for item in (one, other))  # type: ignore[index]
+        if max(shared[k], 0.0) < SAME_SECTION * max(smaller, 0.001):
+            return False
+    return True
+
+
+def _reaches(item: SceneObject, region: Room) -> bool:
+    assert item.aabb is not None
+    if region.polygon is None:
+        return False
+    (x0, _, z0), (x1, _, z1) = item.aabb.tolist()
+    return bool(shapely.box(x0, z0, x1, z1).distance(shapely.Polygon(region.polygon)) <= TOUCHING)

@@ -1,40 +1,35 @@
-"""A language's phrases as a trie of words, built from the grammar's data files.
+"""A language's phrases as a trie of words, built from the grammar's data files, and the phrases at each word of a text.
 
-Only phrases are taken from the data. The structure of sentences is decided by ``reading``, not by the templates from
-which the texts were made.
+Only phrases are taken from the data. The structure of sentences is decided by ``phrases`` and ``text_reader``, not by
+the templates from which the texts were made.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
-from condvln.formats.packaged_yaml import packaged_yaml
+import yaml
+
 from condvln.verify.words import package_data, words
 
-__all__ = ["SO_FAR", "STEPS", "Kinds", "Matches", "Phrasebook", "Step", "phrasebook"]
+__all__ = ["ENDS", "PAIRED", "Match", "Phrasebook", "WordReader", "parsed_once", "phrasebook"]
 
 END: Final = ""
 """Key of a node for the phrases that end there; it can't be a word, since no word is empty."""
-SO_FAR: Final = "\n"
-"""Key of a node for all phrases on the path to it, by kind; it can't be a word, since no word is white space."""
-
-STEPS: Final = "\t"
-"""Key of a node for the same phrases by their number of words: (words, kinds, values); see `Phrasebook.kinds`."""
 
 MARKS: Final = ",.;:?"
-"""Punctuation; each mark is a token and its own letter."""
-UNKNOWN: Final = "\0"
-"""Stands for each word that no phrase has."""
+"""Punctuation; each mark is a token."""
+ENDS: Final = frozenset(MARKS) - {","}
+"""Punctuation that ends a sentence or a part of one."""
 
 PAIRED: Final = frozenset({"between"})
 """Predicates with two anchors."""
 
-_FIRST_LETTER: Final = 0x100
 _TOKEN: Final = re.compile(r"[^\s,.;:?]+|[,.;:?]")
 _ARTICLES: Final = {
     "{a}": "indefinite",
@@ -45,35 +40,23 @@ _ARTICLES: Final = {
     "{ningun}": "no",
 }
 
-Match = tuple[str, str, frozenset[str]]
-"""A match: the kind of phrase, its value, and the noun classes that its article agrees with."""
-
 Node = dict[str, Any]
-Matches = dict[str, tuple[tuple[int, str, frozenset[str]], ...]]
-"""Matches by kind of phrase: (number of words, value, noun classes)."""
-Kinds = tuple[tuple[str, str | None, frozenset[str]], ...]
-"""What phrases of the same words are: (kind, value, noun classes) of each, without values that are mere names."""
-Step = tuple[int, int, tuple[str, ...]]
-"""Number of words of some phrases, the number of their kinds, and the values that are mere names, in order."""
+Match = tuple[int, str, frozenset[str]]
+"""A phrase that begins at some word: its end, its value, and the noun classes that it agrees with."""
 
-_NAMING: Final = frozenset(("noun", "room", "predicate", "superlative", "superlative_behind", "direction"))
-"""Kinds of phrases whose values are only compared with each other. Except for a predicate with two anchors, a text with
-other values in their places says the same about these."""
+F = TypeVar("F")
+Parser = Callable[[Any, int, Any], F]
+"""A method of `WordReader` with a position and the room named last as its arguments."""
 
 
 @dataclass(eq=False)
 class Phrasebook:
     """The phrases of one language.
 
-    tree : words to nodes; under `END` the phrases that end there, under `SO_FAR` also those on the path
+    tree : words to nodes; under `END` the phrases that end there
     contractions : the words that a contraction stands for
     lying : whether stops have words between noun and relation ("que está")
     room_first : whether a room comes before "there is" ("en la cocina hay") and before the relation of a stop
-    letters : a character for each word of the phrases
-    first : the characters of the words with which phrases of a kind begin
-    longest : number of words of the longest phrase
-    parsed : what the parsers of phrases found in earlier texts; see `WordReader`
-    kinds : the kinds of all phrases of the same words, each listed once
     """
 
     tree: Node
@@ -81,11 +64,6 @@ class Phrasebook:
     classes: frozenset[str]
     lying: bool
     room_first: bool
-    letters: dict[str, str] = field(default_factory=lambda: {mark: mark for mark in MARKS})
-    first: dict[str, set[str]] = field(default_factory=dict)
-    longest: int = 0
-    parsed: dict[Any, Any] = field(default_factory=dict)
-    kinds: dict[Kinds, int] = field(default_factory=dict)
 
     def tokens(self, text: str) -> list[str]:
         """Return the words and punctuation of a text, in lower case, with contractions expanded."""
@@ -94,28 +72,20 @@ class Phrasebook:
             return found
         return [word for token in found for word in self.contractions.get(token, (token,))]
 
-    def spelled(self, tokens: Iterable[str]) -> str:
-        """Return words and punctuation with one character for each. All words that no phrase has become one character,
-        so that texts with equal results have the same matches at the same places.
-        """
-        letter = self.letters.get
-        return "".join([letter(token, UNKNOWN) for token in tokens])
-
     def add(self, text: str, kind: str, value: str, classes: Iterable[str]) -> None:
         """Add one phrase."""
-        node, tokens = self.tree, self.tokens(text)
-        for token in tokens:
+        node = self.tree
+        for token in self.tokens(text):
             node = node.setdefault(token, {})
-            self.letters.setdefault(token, chr(_FIRST_LETTER + len(self.letters)))
-        self.longest = max(self.longest, len(tokens))
-        self.first.setdefault(kind, set()).add(self.letters[tokens[0]])
         node.setdefault(END, []).append((kind, value, frozenset(classes)))
 
 
 @cache
 def phrasebook(code: str = "en") -> Phrasebook:
     """Return the phrasebook of a language code, read once per process."""
-    document = packaged_yaml(package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"))
+    document = yaml.load(
+        package_data("instructions", "grammar", f"{code}.yaml").read_text(encoding="utf-8"), Loader=yaml.CSafeLoader
+    )
     articles: Mapping[str, Mapping[str, str]] = document["articles"]
     together = {short: tuple(apart.split()) for apart, short in (document.get("contractions") or {}).items()}
     book = Phrasebook(
@@ -161,7 +131,6 @@ def phrasebook(code: str = "en") -> Phrasebook:
     for those in (document.get("nouns_in") or {}).values():
         for label, (noun, noun_class) in those.items():
             book.add(noun, "noun", label, (noun_class,))
-    _gather(book, book.tree, 0, {}, ())
     return book
 
 
@@ -169,25 +138,6 @@ def _phrases(document: Mapping[str, Any], slot: str) -> list[str]:
     """Return all phrases of a slot: those that all voices share, and those of each single voice."""
     voices = document["voices"].values()
     return list(dict.fromkeys(phrase for said in (document["phrases"], *voices) for phrase in said.get(slot, ())))
-
-
-def _gather(book: Phrasebook, node: Node, words_so_far: int, before: Matches, steps: tuple[Step, ...]) -> None:
-    """Store in each node of the trie the phrases that end at this node or at a node above it."""
-    found, ending = dict(before), node.get(END, ())
-    for kind, value, classes in ending:
-        found[kind] = (*found.get(kind, ()), (words_so_far, value, classes))
-    if ending:
-        kinds = tuple([(kind, None if _is_name(kind, value) else value, classes) for kind, value, classes in ending])
-        names = tuple([value for kind, value, _ in ending if _is_name(kind, value)])
-        steps = (*steps, (words_so_far, book.kinds.setdefault(kinds, len(book.kinds)), names))
-    for word, below in node.items():
-        if word != END:
-            _gather(book, below, words_so_far + 1, found, steps)
-    node[SO_FAR], node[STEPS] = found, steps
-
-
-def _is_name(kind: str, value: str) -> bool:
-    return kind in _NAMING and value not in PAIRED
 
 
 def _with_articles(phrase: str, articles: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, frozenset[str]]]:
@@ -211,3 +161,58 @@ def _nouns(code: str, table: str) -> Mapping[str, tuple[str, str]]:
     text = package_data("instructions", "grammar", f"{table}.{code}.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(text.splitlines())
     return {row["label"]: (row["noun"], row["class"]) for row in rows if row["label"] in fit}
+
+
+def parsed_once(parse: Parser[Iterator[F]]) -> Parser[Sequence[F]]:
+    """Parse each position of a text once, although several readings lead to it."""
+
+    def parsed(self: WordReader, at: int, last: Any) -> Sequence[F]:
+        key = (parse, at, last, self.scope)
+        if key not in self.parsed:
+            self.parsed[key] = list(parse(self, at, last))
+        return self.parsed[key]
+
+    return parsed
+
+
+class WordReader:
+    """Finds the phrases that begin at each word of a text, each looked up only once.
+
+    scope : the room named at the beginning of the text, which applies to all objects without a room
+    furthest : the furthest position that was parsed
+    """
+
+    def __init__(self, book: Phrasebook, text: str) -> None:
+        self.book = book
+        self.tokens = book.tokens(text)
+        self.furthest = 0
+        self.scope: Any = None
+        self.parsed: dict[tuple[Any, int, Any, Any], list[Any]] = {}
+        self._matches: dict[int, dict[str, list[Match]]] = {}
+
+    def rest(self) -> str:
+        """Return some words of the text, starting at the furthest position that was parsed."""
+        return " ".join(self.tokens[self.furthest : self.furthest + 6])
+
+    def here(self, at: int) -> Mapping[str, Sequence[Match]]:
+        """Return (end, value, classes) of each phrase that begins at the word `at`, by kind, the shortest first."""
+        self.furthest = max(self.furthest, at)
+        if at not in self._matches:
+            found: dict[str, list[Match]] = {}
+            node, end = self.book.tree, at
+            while True:
+                for kind, value, classes in node.get(END, ()):
+                    found.setdefault(kind, []).append((end, value, classes))
+                if end >= len(self.tokens) or self.tokens[end] not in node:
+                    break
+                node, end = node[self.tokens[end]], end + 1
+            self._matches[at] = found
+        return self._matches[at]
+
+    def of(self, at: int, kind: str) -> Sequence[Match]:
+        """Return the phrases of one kind that begin at the word `at`."""
+        return self.here(at).get(kind, ())
+
+    def is_mark(self, at: int, mark: str) -> bool:
+        """Return whether the word `at` is this punctuation mark."""
+        return at < len(self.tokens) and self.tokens[at] == mark

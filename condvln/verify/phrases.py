@@ -1,17 +1,15 @@
 """Parse the noun phrases and clauses of a text: what may begin at a word, and where it ends.
 
-All possible parses are followed; ``reading`` decides which of them form a whole text.
+All possible parses are followed; ``text_reader`` decides which of them form a whole text.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from condvln.verify.phrasebook import PAIRED, Phrasebook
+from condvln.verify.phrasebook import ENDS, PAIRED, Phrasebook, WordReader, parsed_once
 from condvln.verify.standpoint import BEARINGS
-from condvln.verify.word_reader import ENDS, WordReader, kept, parsed_once
 
 __all__ = ["Moves", "Named", "Phrase", "PhraseReader", "beside"]
 
@@ -70,22 +68,11 @@ def beside(thing: Phrase, before: Phrase) -> Phrase:
 
 
 class PhraseReader(WordReader):
-    """Finds the phrases in one text. What words before a comma say is taken from earlier texts with the same words."""
+    """Finds the noun phrases and claims in one text."""
 
-    def __init__(self, book: Phrasebook, text: str, *, alone: bool = False) -> None:
-        super().__init__(book, text, alone=alone)
+    def __init__(self, book: Phrasebook, text: str) -> None:
+        super().__init__(book, text)
         self._apart: list[tuple[int, Named]] | None = None
-
-    def told_before(self, at: int, words: str) -> tuple[Any, ...]:
-        """Return what the text before the word `at` contributes to the meaning of `words`: the rooms set apart there
-        and, if the words may mean one of them by "that bedroom", how far away each is named last.
-        """
-        if not self._set_apart():
-            return ()
-        before = tuple(dict.fromkeys(room for place, room in self._set_apart() if place < at))
-        if not before or self.book.first["that"].isdisjoint(words):
-            return before
-        return (*before, *(min(self._marks_since(at + 1, room.label), FARTHEST + 1) for room in before))
 
     # -- words and phrases ---------------------------------------------------------------------------------------------
 
@@ -145,17 +132,13 @@ class PhraseReader(WordReader):
         the desk".
         """
         if self._apart is None:
-            self._apart = []
-            if self.alone or not self.book.first["with"].isdisjoint(self.letters):
-                begin = 0
-                for end in [*self.pauses, len(self.tokens)]:
-                    words = self.letters[begin : end + 1]
-                    self._apart += self.once(("apart", words, ()), begin, partial(self._apart_in, begin, end))
-                    begin = end
+            parsed = self.furthest
+            self._apart = list(self._all_apart())
+            self.furthest = parsed
         return self._apart
 
-    def _apart_in(self, begin: int, end: int) -> Iterator[tuple[int, Named]]:
-        for at in range(begin, end):
+    def _all_apart(self) -> Iterator[tuple[int, Named]]:
+        for at in range(len(self.tokens)):
             for middle, label in self._definite(at, "room"):
                 for after, _, _ in self.of(middle, "with"):
                     # The longest noun wins: "the table lamp" is not a table.
@@ -233,7 +216,7 @@ class PhraseReader(WordReader):
             for end, _, _ in self.of(at, "there"):
                 yield end, last, last
 
-    @kept("the")
+    @parsed_once
     def _things(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse one stop as named in moves: "the lamp near the bed in the bedroom"."""
         for end, label in self._definite(at, "noun"):
@@ -331,12 +314,12 @@ class PhraseReader(WordReader):
                     if what.room == self.scope:
                         yield after, what._replace(room=room), named
 
-    @kept("exists", "exists_again", "absent", "absent_again", "the", "that", "in")
+    @parsed_once
     def _said(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims. Yield (end, True if asserted or False if denied, claim, room named last)."""
         for present, some, known in (
             (True, "exists", "is"),
-            (True, "exists_again", "is_again"),
+            (True, "exists_again", None),
             (False, "absent", "is_not"),
             (False, "absent_again", None),
         ):
@@ -345,7 +328,7 @@ class PhraseReader(WordReader):
                 for end, what, named in found:
                     yield end, present, what, named
 
-    @kept("also", "also_a", "there_also", "nor", "in")
+    @parsed_once
     def _joined(self, at: int, last: Named | None) -> Iterator[tuple[int, bool, Phrase, Named | None]]:
         """Parse claims without their verb: "a lamp in the kitchen" behind "if there's a bed and"."""
         for present, slot in ((True, "also"), (True, "also_a"), (True, "there_also"), (False, "nor")):
@@ -362,7 +345,7 @@ class PhraseReader(WordReader):
             for stop, other in self._agreeing(middle, "noun", its)
         ]
 
-    @parsed_once("see", "check", "look_at", "look", "is_there", "asks_is", "in")
+    @parsed_once
     def _requests(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse requests to look, and questions with their question mark."""
         for end, _, _ in self.of(at, "see"):
@@ -378,7 +361,7 @@ class PhraseReader(WordReader):
         questions += [found for end, _, _ in self.of(at, "asks_is") for found in self._known(None, end, last)]
         yield from ((end, what, named) for end, what, named in questions if self.is_mark(end, "?"))
 
-    @parsed_once("go")
+    @parsed_once
     def _stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves to one or more stops, up to the end of a clause. Punctuation or "if" must follow directly after
         the moves.
@@ -386,7 +369,7 @@ class PhraseReader(WordReader):
         for start, _, _ in self.of(at, "go"):
             yield from self._things_in_turn(start, last)
 
-    @parsed_once("to")
+    @parsed_once
     def _verbless_stops(self, at: int, last: Named | None) -> Iterator[tuple[int, Moves, Named | None]]:
         """Parse moves whose verb was said before: "to the lamp"."""
         for start, _, _ in self.of(at, "to"):
@@ -396,13 +379,17 @@ class PhraseReader(WordReader):
         ahead: list[tuple[int, Moves, Named | None]] = [
             (stop, (thing,), named) for stop, thing, named in self._things(start, last)
         ]
+        known: set[tuple[int, Moves, Named | None]] = set()
         while ahead:
             end, moves, named = ahead.pop()
-            here = self.here(end)
-            if end < len(self.tokens) and (self.tokens[end] in _STOPS or "if" in here):
+            # The same words may be of several slots; without this, each further stop would multiply the ways.
+            if (end, moves, named) in known:
+                continue
+            known.add((end, moves, named))
+            if end < len(self.tokens) and (self.tokens[end] in _STOPS or self.of(end, "if")):
                 yield end, moves, named
             for slot in ("then", "second", "last"):
-                for after, _, _ in self.of(end, slot) if slot in here else ():
+                for after, _, _ in self.of(end, slot):
                     ahead += [
                         (stop, (*moves, beside(thing, moves[-1])), room)
                         for stop, thing, room in self._things(after, named)

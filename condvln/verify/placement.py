@@ -1,36 +1,35 @@
-"""Check starts, goals and paths of a scene's episodes against the scene's navmesh and its objects' boxes.
+"""Check starts, goals, paths and step budgets of a scene's episodes against the scene's navmesh and its objects' boxes.
 
-All leaves are checked by the same rules, as if each were gold, and all those of a scene together, fact by fact.
+All leaves are checked by the same rules, as if each were gold.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import chain, combinations, islice, pairwise, permutations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.navigation.follower import Follower, Length
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
-from condvln.verify.budgets import check_budgets
-from condvln.verify.certificate import Certificate
-from condvln.verify.findings import Findings
-from condvln.verify.footprints import Obstacles, Reach
-from condvln.verify.geodesics import Geodesics, Routes
-from condvln.verify.kernels.separation import clearances, near_goals
-from condvln.verify.rules import VerifierRules
-from condvln.verify.scene_leaves import ROUNDING, SceneLeaves, Target, ranges
-from condvln.verify.walks import Walks
-from schemas.config.constants import FURNITURE_DETOUR, SNAP_TOLERANCE, WALL_DETOUR
+from condvln.verify.certificate import Certificate, VerifierRules
+from condvln.verify.footprints import Obstacles, Point, Reach
+from condvln.verify.standpoint import yaw_of
+from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
+from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["check_placement"]
 
 F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+Pair = tuple[Point, Point]
 
+ROUNDING: Final = 1e-6
+"""Tolerance in metres by which a distance may violate a bound because of rounding."""
 MILLIMETRE: Final = 0.001
 """Tolerances in metres between recomputed lengths and corners and the published ones."""
 
@@ -38,347 +37,247 @@ Verdict = tuple[str, bool, Any, Any]
 """A fact, whether it holds, and the claimed and the found value."""
 
 
+class PlannedWalk(NamedTuple):
+    """A walk: where it starts, the heading there in radians, and the points at which it stops in turn."""
+
+    start: Point
+    yaw: float
+    stops: tuple[Point, ...]
+
+
 def check_placement(
     rows: Sequence[ManifestEpisode],
     certificates: Sequence[Certificate],
     scene: Scene,
     pathfinder: Pathfinder,
-    walks: Walks,
     obstacles: Obstacles,
     rules: VerifierRules,
     *,
     walls: bool,
 ) -> None:
     """Check all positions, paths and distances of the episodes of one scene. `walls`: the scene's walls are known."""
-    geodesics = Geodesics(pathfinder)
-    placed = SceneLeaves(rows, geodesics)
-    findings = Findings(placed.row_ends)
-    _Checker(rows, placed, geodesics, findings, scene, rules, walls).check(obstacles)
-    check_budgets(rows, placed, geodesics.points, findings, walks, rules)
-    findings.record(certificates)
+    checker = _Checker(scene, pathfinder, rules, FURNITURE_DETOUR if walls else WALL_DETOUR)
+    for row, certificate in zip(rows, certificates, strict=True):
+        certificate.same("success_distance", row.success_distance, rules.places.success(scene.single_room))
+        certificate.same("leaf_objects", *_objects(row))
+        if 0 <= row.gold_leaf < len(row.leaves):
+            gold = row.leaves[row.gold_leaf]
+            claimed, found = (row.geodesic_distance, row.route_length), (gold.geodesic_distance, gold.route_length)
+            certificate.same("geodesic_distance", claimed, found, "gold leaf")
+    checker.check_places(rows, certificates, obstacles)
+    checker.check_targets(rows, certificates)
+    checker.check_routes(rows, certificates)
+    checker.check_apart(rows, certificates)
+    _check_budgets(rows, certificates, pathfinder, rules)
 
 
-class _Metres(NamedTuple):
-    """Geodesic distances in metres.
+def _points(row: ManifestEpisode) -> list[Point]:
+    """Return the start of a row, and all goals and subgoals of its leaves."""
+    goals = [goal for leaf in row.leaves for goal in leaf.goals]
+    return [row.start_position, *goals, *(stop.position for leaf in row.leaves for stop in leaf.subgoals)]
 
-    direct (g,), final (g,) : to each goal of each leaf, from the start and from the leaf's stop before its goal
-    first (s,) : from the start to each subgoal
-    around : by target, from each place nearest to the object to all places (n, k), if it is the goal of a leaf
-    gaps (p,) : between the goals of two leaves, the shorter of the two directions
-    """
 
-    direct: F64
-    final: F64
-    first: F64
-    around: list[F64]
-    gaps: F64
+def _end(leaf: EpisodeLeaf) -> Point:
+    """Return the goal at which a leaf's path ends: the one nearest to the path's last corner."""
+    return min(leaf.goals, key=lambda goal: math.dist(goal, leaf.reference_path[-1]))
 
 
 class _Checker:
-    def __init__(
-        self,
-        rows: Sequence[ManifestEpisode],
-        placed: SceneLeaves,
-        geodesics: Geodesics,
-        findings: Findings,
-        scene: Scene,
-        rules: VerifierRules,
-        walls: bool,
-    ) -> None:
-        self._rows, self._placed, self._geodesics, self._findings = rows, placed, geodesics, findings
-        self._detour_at_goal = FURNITURE_DETOUR if walls else WALL_DETOUR
-        single = scene.single_room
-        self._goals, self._island_radius = rules.goals, rules.places.island_radius
-        self._success = rules.places.success(single)
-        self._range = rules.episodes.range(single)
-        self._single, self._detour = single, (rules.episodes.detour_factor, rules.episodes.detour_slack)
-        self._separation = rules.places.leaf_separation(single)
+    """Checks the rows of one scene. What they ask of the navmesh is found together."""
+
+    def __init__(self, scene: Scene, pathfinder: Pathfinder, rules: VerifierRules, detour_at_goal: float) -> None:
+        self._pathfinder, self._rules, self._detour_at_goal = pathfinder, rules, detour_at_goal
+        self._single = scene.single_room
+        self._success = rules.places.success(self._single)
+        self._separation = rules.places.leaf_separation(self._single)
         self._reach = Reach(scene)
-        self._reach.gather((target.object_id, target.places) for target in placed.targets)
-        for target in placed.targets:
-            target.measure(self._reach)
 
-    def check(self, obstacles: Obstacles) -> None:
-        """Check all facts of all rows."""
-        placed, findings, rows = self._placed, self._findings, self._rows
-        near = near_goals(
-            self._geodesics.points[placed.goals],
-            placed.goal_ends,
-            placed.row_ends,
-            self._separation + 2 * np.sqrt(2) * SNAP_TOLERANCE,
-        )
-        metres = self._ask(near)
-        self._check_crossings(obstacles)
-        right = np.array([row.success_distance == self._success for row in rows])
-        findings.rows("success_distance", right, lambda k: (rows[k].success_distance, self._success))
-        self._check_places(obstacles)
-        objects = [_objects(row) for row in rows]
-        findings.rows("leaf_objects", np.array([one == other for one, other in objects]), lambda k: objects[k])
-        self._check_targets(metres.around)
-        self._check_routes(metres)
-        self._check_gaps(near, metres.gaps)
-        self._check_clearances()
-        gold = [row.leaves[row.gold_leaf] if 0 <= row.gold_leaf < len(row.leaves) else None for row in rows]
-        lengths = [
-            ((row.geodesic_distance, row.route_length), leaf and (leaf.geodesic_distance, leaf.route_length))
-            for row, leaf in zip(rows, gold, strict=True)
-        ]
-        findings.rows(
-            "geodesic_distance",
-            np.array([claimed == found for claimed, found in lengths]),
-            lambda k: lengths[k],
-            "gold leaf",
-            of=np.array([leaf is not None for leaf in gold]),
-        )
+    def _metres(self, pairs: Sequence[Pair]) -> list[float]:
+        """Return the geodesic distances in metres of pairs of points; infinite where no path exists."""
+        found = self._pathfinder.geodesic_distances(*np.array(pairs).reshape(-1, 2, 3).transpose(1, 0, 2))
+        metres: list[float] = np.where(np.isnan(found), np.inf, found.astype(np.float64)).tolist()
+        return metres
 
-    # -- queries to the navmesh
-    # -------------------------------------------------------------------------------------------
-
-    def _ask(self, near: I64) -> _Metres:
-        """Return all distances that the checks need, which are found together."""
-        placed = self._placed
-        goal_counts, stop_counts = np.diff(placed.goal_ends, prepend=0), np.diff(placed.stop_ends, prepend=0)
-        start = placed.start[placed.row]
-        before = start.copy()
-        after_others = np.flatnonzero(stop_counts)
-        before[after_others] = placed.stops[placed.stop_ends[after_others] - 1]
-        fans = [(target.nearest if target.is_goal else [], target.points) for target in placed.targets]
-        one, other = placed.goals[near[:, 2]], placed.goals[near[:, 3]]
-        asked = [
-            (np.repeat(start, goal_counts), placed.goals),
-            (np.repeat(before, goal_counts), placed.goals),
-            (np.repeat(start, stop_counts), placed.stops),
-            (
-                np.array([near for nearest, points in fans for near in nearest for _ in points], dtype=np.int64),
-                np.array([point for nearest, points in fans for _ in nearest for point in points], dtype=np.int64),
-            ),
-            # Detour's path back may be shorter than its path there.
-            (one, other),
-            (other, one),
-        ]
-        ones, others = (np.concatenate(part) for part in zip(*asked, strict=True))
-        found = self._geodesics.metres(ones, others)
-        direct, final, first, around, there, back = np.split(found, np.cumsum([len(part) for part, _ in asked])[:-1])
-        shapes = [(len(nearest), len(points)) for nearest, points in fans]
-        ends = np.cumsum([rows * columns for rows, columns in shapes]).tolist()
-        tables = [around[end - n * k : end].reshape(n, k) for (n, k), end in zip(shapes, ends, strict=True)]
-        return _Metres(direct, final, first, tables, np.minimum(there, back))
-
-    def _legs(self) -> tuple[Routes, I64]:
-        """Return the paths from stop to stop of each leaf, concatenated, and the end index (l,) of each leaf's."""
-        placed = self._placed
-        stop_counts = np.diff(placed.stop_ends, prepend=0)
-        leg_ends = np.cumsum(stop_counts + 1)
-        ones, others = np.empty(leg_ends[-1], np.int64), np.empty(leg_ends[-1], np.int64)
-        last, first = leg_ends - 1, leg_ends - stop_counts - 1
-        inner = np.ones(len(ones), dtype=bool)
-        inner[last] = False
-        others[inner], others[last] = placed.stops, placed.goals[placed.ends_of_paths()]
-        inner[:] = True
-        inner[first] = False
-        ones[inner], ones[first] = placed.stops, placed.start[placed.row]
-        return self._geodesics.routes(ones, others), leg_ends
-
-    # -- facts of rows
-    # ----------------------------------------------------------------------------------------------------
-
-    def _check_crossings(self, obstacles: Obstacles) -> None:
-        placed, ends = self._placed, self._placed.row_ends
-        met = obstacles.crossed(placed.corners, placed.corner_ends)
-        free = np.ones(len(ends), dtype=bool)
-        free[placed.row[[leaf for leaf, name in enumerate(met) if name is not None]]] = False
-        self._findings.rows(
-            "in_the_way",
-            free,
-            lambda k: ("free paths", met[int(ends[k - 1]) if k else 0 : int(ends[k])]),
-            "paths",
-        )
-
-    def _check_places(self, obstacles: Obstacles) -> None:
-        """Check that all points of a row are on the navmesh, on one island, and outside obstacles."""
-        placed, at, findings = self._placed, self._geodesics, self._findings
-        rows = len(placed.row_ends)
-        goal_counts, stop_counts = np.diff(placed.goal_ends, prepend=0), np.diff(placed.stop_ends, prepend=0)
-        points = np.concatenate([placed.start, placed.goals, placed.stops])
-        row = np.concatenate([np.arange(rows), np.repeat(placed.row, goal_counts), np.repeat(placed.row, stop_counts)])
-
-        def named(k: int, chosen: Bools) -> list[int]:
-            return sorted(set(points[(row == k) & chosen].tolist()))
-
-        def without(chosen: Bools) -> Bools:
-            good = np.ones(rows, dtype=bool)
-            good[row[chosen]] = False
-            return good
-
-        astray = ~(at.moved <= SNAP_TOLERANCE)[points]
-        findings.rows(
-            "standable", without(astray), lambda k: ("on the floor", [at.positions[p] for p in named(k, astray)])
-        )
-        islands = at.islands[points]
-        findings.rows(
-            "island",
-            without(islands != islands[row]),
-            lambda k: ("one island", sorted(set(islands[row == k].tolist()))),
-        )
-        radii, least = at.island_radii[placed.start], self._island_radius
-        findings.rows("island", radii >= least, lambda k: (f"radius of at least {least}", float(radii[k])), "start")
-        blocking = obstacles.holding(at.points)
-        blocked = np.array([name is not None for name in blocking])[points]
-        findings.rows(
-            "in_the_way", without(blocked), lambda k: ("free points", [blocking[p] for p in named(k, blocked)])
-        )
-
-    def _check_gaps(self, near: I64, metres: F64) -> None:
-        """Check that the goals of the leaves of a row are far enough apart. A straight line already shows it for all
-        but the goals `near` each other.
+    def check_places(
+        self, rows: Sequence[ManifestEpisode], certificates: Sequence[Certificate], obstacles: Obstacles
+    ) -> None:
+        """Check that all points of a row are on the navmesh, on one island that is wide enough, and that they and the
+        paths avoid furniture that the navmesh ignores.
         """
-        placed = self._placed
-        sizes = np.diff(placed.row_ends, prepend=0)
-        self._findings.count("leaves_apart", sizes * (sizes - 1) // 2)
-        pairs, first = np.unique(near[:, 0] * len(placed.leaves) + near[:, 1], return_index=True)
-        if not len(pairs):
-            return
-        least = np.minimum.reduceat(metres, first)
-        for at in np.flatnonzero(~(least >= self._separation - ROUNDING)).tolist():
-            leaf, other = near[first[at], :2].tolist()
-            row = int(placed.row[leaf])
-            begin = int(placed.row_ends[row] - sizes[row])
-            self._findings.refute_row(
-                row, "leaves_apart", self._separation, float(least[at]), f"leaves {leaf - begin} and {other - begin}"
-            )
+        leaves = [leaf for row in rows for leaf in row.leaves]
+        corners = np.array([*chain.from_iterable(leaf.reference_path for leaf in leaves)], np.float64).reshape(-1, 3)
+        crossed = iter(obstacles.crossed(corners, np.cumsum([len(leaf.reference_path) for leaf in leaves])))
+        points = [*dict.fromkeys(chain.from_iterable(_points(row) for row in rows))]
+        asked = np.array(points)
+        snapped, islands = self._pathfinder.snap_to_islands(asked)
+        moved = np.abs(np.asarray(snapped, dtype=np.float64) - asked)
+        on_floor = (np.hypot(moved[:, 0], moved[:, 2]) <= SNAP_TOLERANCE) & (moved[:, 1] <= SNAP_TOLERANCE)
+        places = zip(obstacles.holding(asked), on_floor.tolist(), islands.tolist(), strict=True)
+        known = dict(zip(points, places, strict=True))
+        radii = {island: self._pathfinder.island_radius(island) for island in {*islands.tolist()} - {-1}}
+        least = self._rules.places.island_radius
+        for row, certificate in zip(rows, certificates, strict=True):
+            met = [next(crossed) for _ in row.leaves]
+            certificate.holds("in_the_way", not any(met), "free paths", met, "paths")
+            own = _points(row)
+            blocked = sorted({name for point in own if (name := known[point][0]) is not None})
+            certificate.holds("in_the_way", not blocked, "free points", blocked)
+            astray = sorted({point for point in own if not known[point][1]})
+            certificate.holds("standable", not astray, "on the floor", astray)
+            on = sorted({known[point][2] for point in own})
+            certificate.holds("island", len(on) == 1, "one island", on)
+            radius = radii.get(known[own[0]][2], 0.0)
+            certificate.holds("island", radius >= least, f"radius of at least {least}", radius, "start")
 
-    def _check_clearances(self) -> None:
-        """Check that no path of a leaf enters the success ball of another leaf of its row. A straight line is never
-        longer than a path, so a path with enough clearance by it never enters the ball.
+    def check_targets(self, rows: Sequence[ManifestEpisode], certificates: Sequence[Certificate]) -> None:
+        """Check the subgoals and goals of each leaf: that each is near its object, and on one side of walls. Many
+        leaves share a target.
         """
-        placed = self._placed
-        sizes = np.diff(placed.row_ends, prepend=0)
-        self._findings.count("path_apart", sizes * (sizes - 1))
-        squares = clearances(
-            placed.corners,
-            placed.corner_ends,
-            self._geodesics.points[placed.goals],
-            placed.goal_ends,
-            placed.row_ends,
-            int(sizes.max()),
-        )
-        away = np.sqrt(squares)
-        for leaf, other in np.argwhere(away < self._success - ROUNDING).tolist():
-            row = int(placed.row[leaf])
-            name = f"path of leaf {leaf - int(placed.row_ends[row] - sizes[row])} and leaf {other}"
-            self._findings.refute_row(row, "path_apart", self._success, float(away[leaf, other]), name)
+        judged: dict[tuple[str, tuple[Point, ...], bool], list[Verdict]] = {}
+        for row, certificate in zip(rows, certificates, strict=True):
+            for k, leaf in enumerate(row.leaves):
+                targets = [(stop.object_id, (stop.position,), False) for stop in leaf.subgoals]
+                for target in (*targets, (leaf.object_id, leaf.goals, True)):
+                    if target not in judged:
+                        judged[target] = self._judge(*target)
+                    for fact, held, claimed, found in judged[target]:
+                        certificate.holds(fact, held, claimed, found, f"leaf {k}")
 
-    # -- facts of leaves
-    # ----------------------------------------------------------------------------------------------------
-
-    def _check_targets(self, around: Sequence[F64]) -> None:
-        """Check the goals of each leaf and its subgoals. What holds of a target is found once."""
-        placed, findings = self._placed, self._findings
-        near = [self._judge_reach(target) for target in placed.targets]
-        side = [
-            self._judge_side(target, its) if target.is_goal else []
-            for target, its in zip(placed.targets, around, strict=True)
-        ]
-        stop_counts = np.diff(placed.stop_ends, prepend=0)
-        leaf = np.concatenate([np.repeat(np.arange(len(placed.leaves)), stop_counts), np.arange(len(placed.leaves))])
-        of = np.concatenate([placed.stops_of, placed.goals_of])
-        for fact, judged, leaves, targets in (
-            ("goal_reach", near, leaf, of),
-            ("goal_side", side, np.arange(len(placed.leaves)), placed.goals_of),
-        ):
-            checks = np.array([len(verdicts) for verdicts in judged], dtype=np.int64)[targets]
-            rows = np.bincount(placed.row[leaves], weights=checks, minlength=len(placed.row_ends))
-            findings.count(fact, rows.astype(np.int64))
-        good = np.array([all(held for _, held, _, _ in (*n, *s)) for n, s in zip(near, side, strict=True)])
-        findings.leaf_by_leaf()
-        for k in sorted(set(leaf[~good[of]].tolist())):
-            own = [*of[leaf == k].tolist()]
-            for verdicts in [*(near[target] for target in own), side[own[-1]]]:
-                for fact, held, claimed, found in verdicts:
-                    if not held:
-                        findings.refute_leaf(k, fact, claimed, found)
-
-    def _judge_reach(self, target: Target) -> list[Verdict]:
-        if not target.away:
-            return [("goal_reach", False, target.object_id, "no such object")]
+    def _judge(self, object_id: str, places: tuple[Point, ...], are_goals: bool) -> list[Verdict]:
+        away, here = self._reach.around(object_id, places)
+        if not away:
+            return [("goal_reach", False, object_id, "no such object")]
+        rules = self._rules.goals
         # Farther points are used only if no nearer one is walkable, so never both.
-        reach = self._goals.reach if min(target.away) <= self._goals.reach else self._goals.reach_at_most
-        farthest = max(target.away)
-        wrong = [place for place, good in zip(target.places, target.here, strict=True) if not good]
-        return [
-            ("goal_reach", farthest <= reach + ROUNDING, (target.object_id, reach), farthest),
-            ("goal_reach", not wrong, ("on the floor and in the room of", target.object_id), wrong),
+        reach = rules.reach if min(away) <= rules.reach else rules.reach_at_most
+        wrong = [place for place, good in zip(places, here, strict=True) if not good]
+        found: list[Verdict] = [
+            ("goal_reach", max(away) <= reach + ROUNDING, (object_id, reach), max(away)),
+            ("goal_reach", not wrong, ("on the floor and in the room of", object_id), wrong),
         ]
-
-    def _judge_side(self, target: Target, around: F64) -> list[Verdict]:
-        found: list[Verdict] = []
-        half = self._reach.half_round(target.object_id)
-        if half is not None:
-            walk = float(around.max(axis=1).min())
-            most = half + self._detour_at_goal
+        if are_goals:
+            # Several may be nearest within rounding.
+            nearest = [one for one, its in zip(places, away, strict=True) if its <= min(away) + ROUNDING]
+            metres = np.reshape(self._metres([(one, other) for one in nearest for other in places]), (-1, len(places)))
+            walk, most = float(metres.max(axis=1).min()), self._reach.half_round(object_id) + self._detour_at_goal
             found.append(("goal_side", walk <= most + ROUNDING, most, walk))
-        few = len(target.places) <= self._goals.points
-        found.append(("goal_side", few, self._goals.points, len(target.places)))
+            found.append(("goal_side", len(places) <= rules.points, rules.points, len(places)))
         return found
 
-    def _check_routes(self, metres: _Metres) -> None:
-        placed, findings, leaves = self._placed, self._findings, self._placed.leaves
-        first_goal = placed.goal_ends - np.diff(placed.goal_ends, prepend=0)
-        direct = np.minimum.reduceat(metres.direct, first_goal)
-        claimed = np.array([leaf.geodesic_distance for leaf in leaves])
-        findings.leaves(
-            "geodesic_distance",
-            np.abs(claimed - direct) <= MILLIMETRE,
-            lambda k: (leaves[k].geodesic_distance, float(direct[k])),
-        )
-        first = metres.direct[first_goal]
-        findings.leaves("goal_order", first <= direct + MILLIMETRE, lambda k: (float(first[k]), float(direct[k])))
-        reached, final = metres.final[placed.ends_of_paths()], np.minimum.reduceat(metres.final, first_goal)
-        findings.leaves("route_end", reached <= final + MILLIMETRE, lambda k: (float(reached[k]), float(final[k])))
-        legs, leg_ends = self._legs()
-        lengths = np.add.reduceat(legs.metres, np.concatenate([[0], leg_ends[:-1]]))
-        routes = np.array([leaf.route_length for leaf in leaves])
-        findings.leaves(
-            "route_length",
-            np.abs(routes - lengths) <= MILLIMETRE,
-            lambda k: (leaves[k].route_length, float(lengths[k])),
-        )
-        self._check_corners(legs, leg_ends)
-        low, high = self._range
-        findings.leaves("distance_range", (low <= direct) & (direct <= high), lambda k: ((low, high), float(direct[k])))
+    def check_routes(self, rows: Sequence[ManifestEpisode], certificates: Sequence[Certificate]) -> None:
+        """Check the path and the distances of each leaf."""
+        leaves = [
+            (row, certificate, k)
+            for row, certificate in zip(rows, certificates, strict=True)
+            for k in range(len(row.leaves))
+        ]
+        asked: list[Pair] = []
+        legs: list[Pair] = []
+        for row, _, k in leaves:
+            leaf, start = row.leaves[k], row.start_position
+            stops = [stop.position for stop in leaf.subgoals]
+            before = stops[-1] if stops else start
+            asked += [(start, goal) for goal in leaf.goals]
+            asked += [(start, stop) for stop in stops]
+            asked += [(before, goal) for goal in leaf.goals]
+            legs += pairwise((start, *stops, _end(leaf)))
+        metres = iter(self._metres(asked))
+        lengths, counts, corners = self._pathfinder.path_corners(*np.array(legs).transpose(1, 0, 2))
+        rounded = np.split(np.round(corners.astype(np.float64), 3) + 0.0, np.cumsum(counts)[:-1])
+        routes = zip(lengths.tolist(), rounded, strict=True)
+        for row, certificate, k in leaves:
+            leaf = row.leaves[k]
+            sizes = (len(leaf.goals), len(leaf.subgoals), len(leaf.goals))
+            direct, passed, last = ([*islice(metres, size)] for size in sizes)
+            own = [*islice(routes, len(leaf.subgoals) + 1)]
+            self._check_route(row.start_position, leaf, direct, passed, last, own, certificate, f"leaf {k}")
+
+    def _check_route(
+        self,
+        start: Point,
+        leaf: EpisodeLeaf,
+        direct: list[float],
+        passed: list[float],
+        last: list[float],
+        legs: list[tuple[float, F64]],
+        certificate: Certificate,
+        name: str,
+    ) -> None:
+        """Check one leaf.
+
+        direct, passed : metres from the start to each goal and to each stop before it
+        last : metres from the last stop before the goals to each goal
+        legs : the paths from the start through the stops to the goal at its end, each with its length and its corners
+        """
+        rules, least = self._rules.episodes, min(direct)
+        certificate.close("geodesic_distance", leaf.geodesic_distance, least, MILLIMETRE, name)
+        certificate.holds("goal_order", direct[0] <= least + MILLIMETRE, direct[0], least, name)
+        reached, final = last[leaf.goals.index(_end(leaf))], min(last)
+        certificate.holds("route_end", reached <= final + MILLIMETRE, reached, final, name)
+        certificate.close("route_length", leaf.route_length, sum(leg for leg, _ in legs), MILLIMETRE, name)
+        path = np.concatenate([[start], *(corners[1:] for _, corners in legs)])
+        claimed = np.array(leaf.reference_path)
+        same = path.shape == claimed.shape and bool((np.abs(path - claimed) <= MILLIMETRE + ROUNDING).all())
+        certificate.holds("reference_path", same, leaf.reference_path, path.tolist(), name)
+        low, high = rules.range(self._single)
+        certificate.holds("distance_range", low <= least <= high, (low, high), least, name)
         if not self._single:
-            most = self._detour[0] * direct + self._detour[1]
-            findings.leaves("detour", routes <= most + MILLIMETRE, lambda k: (float(most[k]), leaves[k].route_length))
-        nearest = direct.copy()
-        stop_counts = np.diff(placed.stop_ends, prepend=0)
-        np.minimum.at(nearest, np.repeat(np.arange(len(leaves)), stop_counts), metres.first)
-        apart = 2 * self._success
-        findings.leaves("start_apart", nearest > apart, lambda k: (apart, float(nearest[k])))
+            most = rules.detour_factor * least + rules.detour_slack
+            certificate.holds("detour", leaf.route_length <= most + MILLIMETRE, most, leaf.route_length, name)
+        nearest = min([least, *passed])
+        certificate.holds("start_apart", nearest > 2 * self._success, 2 * self._success, nearest, name)
 
-    def _check_corners(self, legs: Routes, leg_ends: I64) -> None:
-        """Check that the corners of each leaf's path are its start and those of the paths from stop to stop."""
-        placed, leaves = self._placed, self._placed.leaves
-        more = np.maximum(legs.count - 1, 0)  # each path begins where the one before it ended
-        own = placed.row
-        firsts = np.concatenate([[0], leg_ends[:-1]])
-        counts = 1 + np.add.reduceat(more, firsts)
-        ends = np.cumsum(counts)
-        found = np.empty((int(ends[-1]), 3))
-        starting = np.zeros(len(found), dtype=bool)
-        starting[ends - counts] = True
-        found[starting] = self._geodesics.points[placed.start[own]]
-        found[~starting] = legs.corners[ranges(legs.first + 1, more)]
-        claimed = np.diff(placed.corner_ends, prepend=0)
-        equal = counts == claimed
-        off = np.abs(found[np.repeat(equal, counts)] - placed.corners[np.repeat(equal, claimed)]).max(axis=1)
-        agreed = equal.copy()
-        agreed[np.repeat(np.flatnonzero(equal), counts[equal])[~(off <= MILLIMETRE + ROUNDING)]] = False
+    def check_apart(self, rows: Sequence[ManifestEpisode], certificates: Sequence[Certificate]) -> None:
+        """Check that the goals of two leaves are far enough apart, and that no path of a leaf enters the success ball
+        of another leaf. A straight line is never longer than a path, so it already shows it for most.
+        """
+        bound = self._separation + 2 * math.sqrt(2) * SNAP_TOLERANCE
+        leaves = [
+            (row, certificate, *pair)
+            for row, certificate in zip(rows, certificates, strict=True)
+            for pair in combinations(range(len(row.leaves)), 2)
+        ]
+        near = [
+            [
+                (one, other)
+                for one in row.leaves[k].goals
+                for other in row.leaves[j].goals
+                if math.dist(one, other) < bound
+            ]
+            for row, _, k, j in leaves
+        ]
+        # Detour's path back may be shorter than its path there.
+        there = iter(self._metres([pair for pairs in near for pair in pairs]))
+        back = iter(self._metres([(other, one) for pairs in near for one, other in pairs]))
+        for (_, certificate, k, j), pairs in zip(leaves, near, strict=True):
+            least = min((min(next(there), next(back)) for _ in pairs), default=math.inf)
+            apart = least >= self._separation - ROUNDING
+            certificate.holds("leaves_apart", apart, self._separation, least, f"leaves {k} and {j}")
+        for row, certificate in zip(rows, certificates, strict=True):
+            away = _clearances(row.leaves).tolist()
+            for k, j in permutations(range(len(row.leaves)), 2):
+                clear = away[k][j] >= self._success - ROUNDING
+                name = f"path of leaf {k} and leaf {j}"
+                certificate.holds("path_apart", clear, self._success, away[k][j], name)
 
-        def details(k: int) -> tuple[Any, Any]:
-            path = found[int(ends[k] - counts[k]) : int(ends[k])].tolist()
-            return leaves[k].reference_path, tuple(tuple(corner) for corner in path)
 
-        self._findings.leaves("reference_path", agreed, details)
+def _clearances(leaves: Sequence[EpisodeLeaf]) -> F64:
+    """Return the distance (n, n) in metres from the path of each leaf to the nearest goal of each leaf."""
+    goals = np.array([goal for leaf in leaves for goal in leaf.goals])
+    sides = np.array([side for leaf in leaves for side in pairwise(leaf.reference_path)])
+    begin, side = sides[:, 0], sides[:, 1] - sides[:, 0]
+    away = goals - begin[:, None]
+    square = (side * side).sum(axis=1)
+    along = np.clip((away * side[:, None]).sum(axis=2) / np.where(square > 0, square, 1)[:, None], 0, 1)
+    away -= along[..., None] * side[:, None]
+    metres: F64 = np.sqrt((away * away).sum(axis=2))
+    firsts = (
+        np.cumsum([0, *sizes[:-1]])
+        for sizes in ([len(leaf.reference_path) - 1 for leaf in leaves], [len(leaf.goals) for leaf in leaves])
+    )
+    for axis, its in enumerate(firsts):
+        metres = np.minimum.reduceat(metres, its, axis=axis)
+    return metres
 
 
 def _objects(row: ManifestEpisode) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
@@ -387,3 +286,54 @@ def _objects(row: ManifestEpisode) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     objects = [[*(stop.object_id for stop in leaf.subgoals), leaf.object_id] for leaf in row.leaves]
     moves = [[move.object_id for move in leaf.moves] for leaf in row.program.leaves]
     return (numbers, objects), ([*range(len(moves))], moves)
+
+
+def _lengths(follower: Follower, walks: Sequence[PlannedWalk]) -> list[Length]:
+    """Return how long walks are. Equal ones are made once, since leaves of several episodes share walks."""
+    new = [*dict.fromkeys(walks)]
+    made = follower.lengths(
+        np.array([walk.start for walk in new]).reshape(-1, 3),
+        [walk.yaw for walk in new],
+        np.array([stop for walk in new for stop in walk.stops]).reshape(-1, 3),
+        np.cumsum([len(walk.stops) for walk in new]),
+    )
+    known = dict(zip(new, made, strict=True))
+    return [known[walk] for walk in walks]
+
+
+def _check_budgets(
+    rows: Sequence[ManifestEpisode], certificates: Sequence[Certificate], pathfinder: Pathfinder, rules: VerifierRules
+) -> None:
+    """Check the step budget of each row against the configuration, the actions of the longest leaf and, if the budget
+    is proportional to the text, the number of words of the longest text of its counterfactual group. Rows whose start
+    is not turned about the vertical are left out.
+    """
+    planned: list[list[PlannedWalk]] = []
+    groups: dict[str, list[int]] = {}
+    for row, certificate in zip(rows, certificates, strict=True):
+        yaw = yaw_of(row.start_rotation)
+        upright = certificate.holds("start_rotation", yaw is not None, "a turn about the vertical", row.start_rotation)
+        planned.append(
+            [
+                PlannedWalk(row.start_position, yaw or 0.0, (*(stop.position for stop in leaf.subgoals), _end(leaf)))
+                for leaf in (row.leaves if upright else ())
+            ]
+        )
+        if row.group_id is not None:
+            groups.setdefault(row.group_id, []).append(len(row.instruction_text.split()))
+    ceiling, proportional = rules.episodes.step_ceiling, rules.episodes.max_steps == "proportional"
+    made = iter(_lengths(Follower(pathfinder, max_actions=ceiling), [*chain.from_iterable(planned)]))
+    for row, certificate, its in zip(rows, certificates, planned, strict=True):
+        lengths = [next(made) for _ in its]
+        if not lengths:
+            continue
+        for k, length in enumerate(lengths):
+            certificate.holds("budget", length.arrived, "a walk that arrives", length.outcome, f"leaf {k}")
+        twice = 2 * max(length.actions for length in lengths)
+        certificate.holds("budget", twice <= ceiling, f"at most {ceiling}", twice, "twice the actions")
+        words = [len(row.instruction_text.split())]
+        if row.group_id is not None:
+            words = groups[row.group_id]
+            certificate.same("group", GROUP_SIZE, len(words), f"members of {row.group_id}")
+        expected = max(rules.text.steps_per_word * max(words), twice) if proportional else ceiling
+        certificate.same("budget", row.max_steps, expected)

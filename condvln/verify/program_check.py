@@ -10,6 +10,7 @@ from itertools import product
 from typing import NamedTuple
 
 from condvln.verify.certificate import Certificate
+from condvln.verify.files import UnplacedText
 from condvln.verify.words import words
 from schemas.config.constants import MOST_MOVES_OF_FOUR_LEAVES
 from schemas.evaluation import ManifestEpisode
@@ -18,7 +19,7 @@ from schemas.program import SHAPES, Category, Condition, Program
 __all__ = ["check_program", "leaf_of"]
 
 
-def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
+def check_program(row: ManifestEpisode | UnplacedText, certificate: Certificate) -> None:
     """Check the recorded axes of a row's program (category, depth and so on), and that the program breaks none of the
     rules against degenerate programs.
     """
@@ -32,7 +33,7 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
         rooms.append([move.room.room_id for move in leaf.moves])
         named.update([(move.room.room_id, move.room.label) for move in leaf.moves])
     goals = [stops[-1] for stops in visited]
-    tree = _tree(tuple([(branch.condition, branch.then, branch.otherwise) for branch in program.branches]))
+    tree = tree_of(program)
     everywhere = {room_id for room_id, _ in named}
     composition = "C0" if len(everywhere) == 1 else _composition(program, tree, [its[-1] for its in rooms])
     claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
@@ -41,18 +42,13 @@ def check_program(row: ManifestEpisode, certificate: Certificate) -> None:
     _check_evidence(row, certificate)
     certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
     for k, stops in enumerate(visited):
-        if len(set(stops)) != len(stops):
-            certificate.holds("distinct_goals", False, "different stops", stops, f"leaf {k}")
-        else:
-            certificate.held("distinct_goals")
+        certificate.holds("distinct_goals", len(set(stops)) == len(stops), "different stops", stops, f"leaf {k}")
     for k, its_rooms in enumerate(rooms):
         count = len(its_rooms)
         if len(leaves) == 4:
             certificate.holds("most_moves", count <= MOST_MOVES_OF_FOUR_LEAVES, "two moves", count, f"leaf {k}")
-        if any(room in its_rooms[:at] and its_rooms[at - 1] != room for at, room in enumerate(its_rooms)):
-            certificate.holds("room_order", False, "rooms left once", its_rooms, f"leaf {k}")
-        else:
-            certificate.held("room_order")
+        again = any(room in its_rooms[:at] and its_rooms[at - 1] != room for at, room in enumerate(its_rooms))
+        certificate.holds("room_order", not again, "rooms left once", its_rooms, f"leaf {k}")
     types = sorted([label for _, label in named])
     certificate.holds("room_types", len(set(types)) == len(types), "one room of a type", types)
     for k in range(len(conditions)):
@@ -74,7 +70,7 @@ def _check_independence(conditions: Sequence[Condition], certificate: Certificat
             certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
 
 
-def _check_evidence(row: ManifestEpisode, certificate: Certificate) -> None:
+def _check_evidence(row: ManifestEpisode | UnplacedText, certificate: Certificate) -> None:
     """Check that evidence is recorded for the conditions on the gold path, and that the worst level of this evidence is
     the observability of the row.
 
@@ -103,6 +99,11 @@ class _Tree(NamedTuple):
     depth: int
     chain: int
     sides: tuple[tuple[int, tuple[int, ...], tuple[int, ...]], ...]
+
+
+def tree_of(program: Program) -> _Tree:
+    """Return what follows from a program's branches."""
+    return _tree(tuple([(branch.condition, branch.then, branch.otherwise) for branch in program.branches]))
 
 
 @lru_cache(maxsize=64)

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 from condvln.scene import Scene, SceneObject
 from condvln.verify.containment import said_of, shut_away
-from condvln.verify.outlines import astride_rooms
+from condvln.verify.likeness import astride_rooms, left_apart
 from condvln.verify.phrases import Named, Phrase
 from condvln.verify.predicates import FALSE, TRUE, Judge, Judgement, Thing
 from condvln.verify.room_view import RoomView, longest_side, model_of
-from condvln.verify.slices import left_apart
 from condvln.verify.standpoint import BEARINGS, Standpoint
 from condvln.verify.surfaces import Shapes, SurfaceGauge
 from condvln.verify.words import words
@@ -259,7 +258,7 @@ class SceneReferents:
             for thing in things:
                 if thing.box is None or not (
                     math.prod(anchor.ground_sides()) >= math.prod(thing.ground_sides())
-                    or _volume(anchor) >= _volume(thing)
+                    or anchor.volume() >= thing.volume()
                 ):
                     return False
         return True
@@ -272,17 +271,12 @@ class SceneReferents:
         """
         key = (view.room.room_id, label, predicate, tuple(anchor.object_id for anchor in anchors), asked)
         if key not in self._related:
-            meant = view.meant(label)
-            others = [thing for thing in (*meant, *view.unknown(label)) if thing not in anchors]
-            self._related[key] = [
-                (
-                    x,
-                    self.judge(
-                        predicate, x, anchors, view.surroundings, [rival for rival in meant if rival is not x], asked
-                    ),
-                )
-                for x in others
-            ]
+            meant, self._related[key] = view.meant(label), []
+            for x in (*meant, *view.unknown(label)):
+                if x not in anchors:
+                    rivals = [rival for rival in meant if rival is not x]
+                    how = self.judge(predicate, x, anchors, view.surroundings, rivals, asked)
+                    self._related[key].append((x, how))
         return self._related[key]
 
     def _thing(self, phrase: Phrase) -> Referent | Problem:
@@ -305,17 +299,14 @@ class SceneReferents:
         if len(meant) < 2:
             return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
         related = [(x, how) for x, how in self._relations(view, phrase.label, predicate, anchors, False) if x in meant]
-        fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
-        open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
-        if len(fitting) != 1 or len(open_ones) != 1:
-            return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
-        if (fault := _not_one(view, fitting[0])) is not None:
-            return fault
-        if predicate in ("bigger", "smaller") and (twin := view.has_twin(fitting[0])) is not None:
-            return Problem("referent_single", f"{phrase.label}s of different heights", sorted(_ids((fitting[0], twin))))
-        if not self._carries_the_phrase(anchors, fitting):
-            return Problem("anchor_fit", f"an anchor larger than {fitting[0].object_id}", _ids(anchors))
-        return Referent(fitting[0].object_id, view.room.room_id, _ids(anchors), room_anchor)
+        chosen = _the_one(view, phrase, related)
+        if isinstance(chosen, Problem):
+            return chosen
+        if predicate in ("bigger", "smaller") and (twin := view.has_twin(chosen)) is not None:
+            return Problem("referent_single", f"{phrase.label}s of different heights", sorted(_ids((chosen, twin))))
+        if not self._carries_the_phrase(anchors, (chosen,)):
+            return Problem("anchor_fit", f"an anchor larger than {chosen.object_id}", _ids(anchors))
+        return Referent(chosen.object_id, view.room.room_id, _ids(anchors), room_anchor)
 
     def _claim(self, phrase: Phrase) -> Answer | Problem:
         room = self.room(phrase.room)
@@ -378,13 +369,8 @@ class SceneReferents:
         if len(meant) < 2:
             return Problem("qualifier_needed", f"several things like a {phrase.label}", len(meant))
         related = [(thing, start.judge(phrase.qualifier[0], thing, self._thresholds)) for thing in meant]
-        fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
-        open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
-        if len(fitting) != 1 or len(open_ones) != 1:
-            return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
-        if (fault := _not_one(view, fitting[0])) is not None:
-            return fault
-        return Referent(fitting[0].object_id, view.room.room_id, (), None)
+        chosen = _the_one(view, phrase, related)
+        return chosen if isinstance(chosen, Problem) else Referent(chosen.object_id, view.room.room_id, (), None)
 
     def _claim_at(self, phrase: Phrase, start: Standpoint | None) -> Answer | Problem:
         room, here = self.room(phrase.room), self._here(start)
@@ -436,10 +422,16 @@ def _deciding(related: list[tuple[Thing, Judgement]], sure: list[Thing]) -> Mapp
     return {}
 
 
-def _not_one(view: RoomView, thing: Thing) -> Problem | None:
-    """Return a problem if an object and another box may be the same real object, or if people may not recognise the
-    object by its name; else None.
+def _the_one(view: RoomView, phrase: Phrase, related: Sequence[tuple[Thing, Judgement]]) -> Thing | Problem:
+    """Return the one object that fits a phrase with a qualifier, by the judgements on all that it might mean; a problem
+    if there is not exactly one, if it and another box may be the same real object, or if people may not recognise it by
+    its name.
     """
+    fitting = [thing for thing, how in related if how.verdict == TRUE and thing.label == phrase.label]
+    open_ones = [thing.object_id for thing, how in related if how.verdict != FALSE]
+    if len(fitting) != 1 or len(open_ones) != 1:
+        return Problem("qualifier_sufficient", f"one {phrase}", open_ones)
+    (thing,) = fitting
     if not view.is_clear(thing):
         return Problem("referent_clear", f"surely a {thing.label} of this room", thing.object_id)
     if not view.is_itself(thing):
@@ -447,7 +439,7 @@ def _not_one(view: RoomView, thing: Thing) -> Problem | None:
     other = view.double(thing)
     if other is not None:
         return Problem("referent_single", f"one box of one {thing.label}", sorted((thing.object_id, other.object_id)))
-    return None
+    return thing
 
 
 def _of_two_rooms(view: RoomView, label: str) -> Problem:
@@ -456,8 +448,3 @@ def _of_two_rooms(view: RoomView, label: str) -> Problem:
 
 def _ids(things: Iterable[Thing]) -> tuple[str, ...]:
     return tuple(thing.object_id for thing in things)
-
-
-def _volume(thing: Thing) -> int:
-    assert thing.box is not None
-    return math.prod(high - low for low, high in zip(*thing.box, strict=True))

@@ -1,10 +1,15 @@
 """Visibility of a scene's objects, and of its rooms' floors, from given positions.
 
+An object counts as seen if it is recognised from one place: enough of its points are visible, and the rectangle of
+azimuth × elevation around them is large enough. A floor counts as seen if enough of its points are, each from some
+place.
+
 An object's surface is tested at two sets of points: the 64 of `navigation.surface_samples`, from which observability is
 published, and 64 of this package's own. The package's own points decide if they see much of an object, or almost
 nothing of an object of which the published points see much; in between, where either set could be right, the published
 points decide. "Much" is a share so large that two fair sets of points differ by as much once in a million tests
-(`much`).
+(`much`). The same holds of the rectangles: those of the published points decide, unless the own points make one that is
+twice as large as needed, or many of them one of less than half.
 """
 
 from __future__ import annotations
@@ -14,21 +19,29 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
-from condvln.navigation.sight import View, in_view
 from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
-from condvln.verify.kernels.looking import in_front, in_range, spread
+from condvln.scene.scene import STRUCTURE, SceneGeometry
+from condvln.verify.words import words
 from schemas.config import EpisodeConfig, PlacesConfig
-from schemas.config.constants import FIRST_VIEW_DEGREES, FRAME_HEADROOM
+from schemas.config.constants import (
+    ABSENCE_METRES,
+    FLOOR_LIFT,
+    FRAME_HEADROOM,
+    LEVEL_CAMERA,
+    SEEABLE_IN_FRAME,
+    SEEABLE_PLACES,
+    SEEABLE_SHARE,
+    TABLE_HEIGHT,
+)
 
-__all__ = ["Eyes", "Sight", "Sought", "evenly", "much"]
+__all__ = ["Eyes", "Sight", "Sought", "absence_range", "evenly", "in_front", "in_range", "much", "rectangles"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -43,12 +56,24 @@ TURNS: Final = 8
 """Number of turns, at least, in which the eyes of a room are asked about an object's points."""
 RAYS_AT_ONCE: Final = 1 << 17
 """Number of pending rays after which they are cast; some ten megabytes."""
-LINES_KEPT: Final = 1 << 24
-"""Number of lines of sight whose results `Sight.is_faced` keeps for later walks; some forty megabytes."""
+EDGE: Final = 1e-9
+"""Metres by which a point may lie outside the border of a view and still be inside, so that rounding decides about no
+point that lies exactly on it.
+"""
 
-Sought = tuple[str, str]
-"""A target: ("thing", object id) or ("floor", room id)."""
+LARGE: Final = 2.0
+"""Factor by which the rectangle around the own points must differ from the least one to contradict the published
+points."""
+MANY: Final = 16
+"""Number of visible own points whose rectangle can contradict the published points by being small."""
+ROUNDING: Final = 1e-6
+"""Degrees by which rounding may change a side."""
 
+Sought = tuple[str, str, float]
+"""A target: ("thing", object id, 0) or ("floor", room id, metres up to which its points are visible)."""
+
+_LEVEL: Final = tuple(math.tan(math.radians(angle / 2)) for angle in LEVEL_CAMERA)
+_ANY_SLOPE: Final = 1e6
 # Increments of the R2 sequence (Roberts 2018): powers of the inverse of the plastic number.
 _R2: Final = (0.7548776662466927, 0.5698402909980532)
 _SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -77,32 +102,66 @@ class _Points:
     points : (k, 3); the first `own` of them are this package's own samples
     boxes : (k,) index of the occluding box that each point lies on, -1 for none
     least : share of the points that must be visible
+    sides : least shorter and longer side in degrees of the rectangle around the visible points; None for a floor
     """
 
     points: F64
     own: int
     boxes: NDArray[np.int64]
     least: float
+    sides: tuple[float, float] | None = None
 
-    def is_seen(self, seen: Bools) -> bool:
-        """Return whether the target counts as seen. `seen` (k,) tells which of the target's points are visible."""
-        return bool(self._is_enough(_share(seen[: self.own]) if self.own else 0.0, _share(seen[self.own :])))
+    def is_covered(self, seen: Bools) -> bool:
+        """Return whether enough of a floor is visible. `seen` (n, k) tells which of its points each eye sees."""
+        return bool(_share(np.asarray(seen.any(axis=0))) >= self.least)
 
-    def are_seen(self, seen: Bools) -> list[bool]:
-        """Return for each line of `seen` (n, k) whether the target counts as seen; see `is_seen`."""
-        own = np.count_nonzero(seen[:, : self.own], axis=1) / max(self.own, 1)
-        published = np.count_nonzero(seen[:, self.own :], axis=1) / (len(self.points) - self.own)
-        found: list[bool] = self._is_enough(own, published).tolist()
+    def recognised(self, seen: Bools, eyes: F64) -> Bools:
+        """Return for each of the eyes (n, 3) whether it recognises the target. `seen` (n, k) tells which of its points
+        it sees.
+        """
+        assert self.sides is not None, "a floor is not recognised"
+        least = np.array(self.sides) - ROUNDING
+        theirs = np.count_nonzero(seen[:, self.own :], axis=1) / (len(self.points) - self.own)
+        if not self.own:
+            published = rectangles(eyes, self.points, seen)
+            return np.asarray((published >= least).all(axis=1) & (theirs >= self.least))
+        count = np.count_nonzero(seen[:, : self.own], axis=1)
+        ours, enough = count / self.own, much(self.least, self.own)
+        # Who sees little by either set recognises nothing, whatever the rectangles are.
+        able = np.flatnonzero((theirs >= self.least) | (ours >= enough))
+        found = np.zeros(len(eyes), dtype=bool)
+        if not len(able):
+            return found
+        seen, eyes, theirs, count, ours = seen[able], eyes[able], theirs[able], count[able], ours[able]
+        published = rectangles(eyes, self.points[self.own :], seen[:, self.own :])
+        own = rectangles(eyes, self.points[: self.own], seen[:, : self.own])
+        small = (count >= MANY) & (own * LARGE < least).any(axis=1)
+        large = (theirs >= self.least) & ((theirs < enough) | (ours >= self.least)) & ~small
+        large &= (published >= least).all(axis=1)
+        found[able] = large | ((ours >= enough) & (own >= LARGE * least).all(axis=1))
         return found
 
-    def _is_enough(self, ours: Any, published: Any) -> Any:
-        """Return whether the visible shares of the two sets of points, numbers or arrays, are enough: this package's
-        own points decide if many of them are visible, or almost none although many of the published ones are.
+    def refuted(self, seen: Bools) -> Bools:
+        """Return for each eye whether it sees much of a target by the published points and next to nothing of it by
+        this package's own. `seen` (n, k) tells which of the points it sees.
         """
         if not self.own:
-            return published >= self.least
-        enough = much(self.least, self.own)
-        return (ours >= enough) | ((published >= self.least) & ((published < enough) | (ours >= self.least)))
+            return np.zeros(len(seen), dtype=bool)
+        ours, theirs = seen[:, : self.own].mean(axis=1), seen[:, self.own :].mean(axis=1)
+        return np.asarray((theirs >= much(self.least, self.own)) & (ours < self.least))
+
+    def degrees(self, seen: Bools, eyes: F64) -> F64:
+        """Return the shorter side in degrees (n,) of the rectangle around the published points; 0 where they are not
+        recognised.
+        """
+        if self.sides is None or not len(eyes):
+            return np.zeros(len(eyes))
+        seen = seen[:, self.own :]
+        able = np.flatnonzero(np.count_nonzero(seen, axis=1) >= self.least * (len(self.points) - self.own))
+        published = rectangles(eyes[able], self.points[self.own :], seen[able])
+        found = np.zeros(len(eyes))
+        found[able] = np.where((published >= np.array(self.sides) - ROUNDING).all(axis=1), published[:, 0], 0.0)
+        return found
 
 
 class _Lines:
@@ -146,6 +205,7 @@ class Sight:
     Attributes
     ----------
     approximate : whether boxes replace surfaces; walls : whether walls occlude
+    places : what an agent sees
     """
 
     def __init__(
@@ -158,9 +218,10 @@ class Sight:
         places: PlacesConfig,
         rules: EpisodeConfig,
     ) -> None:
-        self._scene, self._floor, self._rules = scene, floor, rules
+        self._scene, self._floor, self._rules, self.places = scene, floor, rules, places
         self._is_frame = is_frame
-        self._reach, self._slope = places.sight_range, math.tan(math.radians(FIRST_VIEW_DEGREES / 2))
+        self._sides = (places.seen_degrees.short, places.seen_degrees.long)
+        self._reach = places.sight_range
         known = None if geometry is None or not len(geometry.faces) else geometry
         self.approximate = known is None or known.approximate
         self.walls = known is not None and (not known.approximate or STRUCTURE in known.owner)
@@ -168,9 +229,8 @@ class Sight:
         self._numbers = {item.object_id: number for number, item in enumerate(scene.objects)}
         self._boxes: dict[str, list[int]] = {}
         self._hiding = self._hiders(known, is_structure)
-        self._points: dict[Sought, _Points | None] = {}
+        self._points: dict[tuple[bool, str], _Points | None] = {}
         self._lines: dict[Sought, _Lines] = {}
-        self._kept = 0
 
     def _hiders(self, known: SceneGeometry | None, is_structure: Callable[[SceneObject], bool]) -> Occluders:
         if known is not None and not known.approximate:
@@ -204,10 +264,37 @@ class Sight:
             where = self._where(sought)
             if where is not None and of:
                 lines = self._lines[sought]
-                rows = lines.of(key for eyes in of.values() for key in eyes.keys)
-                sizes = np.array([len(eyes.keys) for eyes in of.values()])
-                seen = np.logical_or.reduceat(rows, np.cumsum(sizes) - sizes)
-                lines.together.update(zip(of, where.are_seen(seen), strict=True))
+                for name, eyes in of.items():
+                    lines.together[name] = self._is_known(where, lines.of(eyes.keys), eyes.places)
+
+    def _is_known(self, where: _Points, seen: Bools, eyes: F64) -> bool:
+        """Return whether a target is seen from the eyes (n, 3) together, each of which sees some of its points."""
+        if where.sides is None:
+            return where.is_covered(seen)
+        some = seen.any(axis=1)
+        return bool(some.any() and where.recognised(seen[some], eyes[some]).any())
+
+    def degrees(self, sought: Sought, eyes: Eyes) -> float:
+        """Return how large an object appears from the best of the eyes: the shorter side in degrees of the rectangle
+        around its published points; 0 if none recognises it.
+        """
+        where = self._where(sought)
+        if where is None or not len(eyes.places):
+            return 0.0
+        self._cast_missing([(sought, [eyes])])
+        return float(where.degrees(self._lines[sought].of(eyes.keys), eyes.places).max(initial=0.0))
+
+    def is_sure(self, sought: Sought, eyes: Eyes) -> bool:
+        """Return whether enough of the eyes recognise an object by a level camera, and see enough of it together, for
+        the generator to look no further. `degrees` must have been asked before.
+        """
+        where = self._where(sought)
+        if where is None or not len(eyes.places):
+            return False
+        seen = self._lines[sought].of(eyes.keys)
+        least = max(min(SEEABLE_PLACES, len(eyes.places)), SEEABLE_IN_FRAME * len(eyes.places))
+        several = np.count_nonzero(where.degrees(seen, eyes.places)) >= least
+        return bool(several and _share(np.asarray(seen[:, where.own :].any(axis=0))) >= SEEABLE_SHARE)
 
     def _cast_missing(self, wanted: Iterable[tuple[Sought, Iterable[Eyes]]]) -> None:
         """Cast all lines of sight that are not known."""
@@ -239,21 +326,21 @@ class Sight:
         """Test which points of each of `looks` are in range and not occluded, and store the results in the cache."""
         if not looks:
             return
-        eyes = np.concatenate([look.eyes for look in looks])
-        points = np.concatenate([look.where.points for look in looks])
-        boxes = np.concatenate([look.where.boxes for look in looks])
-        sizes = np.array([(len(look.keys), len(look.where.points)) for look in looks])
-        slopes = np.array([self._slope if look.sought[0] == "thing" else np.inf for look in looks])
-        eye_ends, point_ends = np.cumsum(sizes, axis=0).T.copy()
-        pair, eye, point = in_range(eyes, points, eye_ends, point_ends, slopes, self._reach)
-        seen = np.zeros(int(sizes.prod(axis=1).sum()), dtype=bool)
-        seen[pair] = ~self._hiding.hidden(eyes[eye], points[point], boxes[point])
-        at = 0
-        for look in looks:
-            rows = seen[at : at + len(look.keys) * len(look.where.points)].reshape(len(look.keys), -1)
-            at += rows.size
-            self._kept += rows.size
-            self._lines[look.sought].seen.update(zip(look.keys, rows, strict=True))
+        seen = [in_range(look.eyes, look.where.points, *self._limits(look.sought)) for look in looks]
+        lines = [np.nonzero(mask) for mask in seen]
+        begin = np.concatenate([look.eyes[eye] for look, (eye, _) in zip(looks, lines, strict=True)])
+        end = np.concatenate([look.where.points[point] for look, (_, point) in zip(looks, lines, strict=True)])
+        boxes = np.concatenate([look.where.boxes[point] for look, (_, point) in zip(looks, lines, strict=True)])
+        free = ~self._hiding.hidden(begin, end, boxes)
+        parts = np.split(free, np.cumsum([len(eye) for eye, _ in lines])[:-1])
+        for look, mask, line, part in zip(looks, seen, lines, parts, strict=True):
+            mask[line] = part
+            self._lines[look.sought].seen.update(zip(look.keys, mask, strict=True))
+
+    def _limits(self, sought: Sought) -> tuple[float, float]:
+        """Return the range in metres and the greatest slope of the lines of sight to a target."""
+        kind, _, metres = sought
+        return (metres if kind == "floor" else self._reach), (math.inf if kind == "floor" else _LEVEL[1])
 
     def floor(self, room_id: str) -> F64:
         """Return points (n, 3) on a room's floor."""
@@ -296,17 +383,14 @@ class Sight:
             if not len(left):
                 break
             part = eyes[turn::turns]
-            ends = np.cumsum(np.bincount(of[left], minlength=len(things)))
-            eye_ends, anyhow = len(part) * np.arange(1, len(things) + 1), np.full(len(things), np.inf)
-            _, eye, point = in_range(np.tile(part, (len(things), 1)), points[left], eye_ends, ends, anyhow, np.inf)
-            point = left[point]
-            seen[point[~self._hiding.hidden(part[eye % len(part)], points[point], own[point])]] = True
+            point, eye = np.repeat(left, len(part)), np.tile(part, (len(left), 1))
+            seen[point[~self._hiding.hidden(eye, points[point], own[point])]] = True
             missing = np.bincount(of[seen], minlength=len(things)) < enough
         return [not few for few in missing]
 
     def is_seen(self, sought: Sought, eyes: Eyes, yaw: float | None = None) -> bool:
-        """Return whether enough points of a target are visible; a point counts if any of the eyes sees it. If `yaw` is
-        given, there must be only one eye, and it looks in the direction `yaw`. `look` must have been asked before.
+        """Return whether a target is seen from the eyes together. If `yaw` is given, there must be only one eye, and it
+        looks in the direction `yaw`. `look` must have been asked before.
         """
         where = self._where(sought)
         if where is None:
@@ -314,35 +398,53 @@ class Sight:
         lines = self._lines[sought]
         if yaw is None:
             return lines.together[eyes.name]
-        turned = float(np.sin(yaw)), float(np.cos(yaw))
-        facing = in_front(eyes.places[0], where.points, *turned, self._reach, self._slope, self._slope)
-        return where.is_seen(lines.seen[eyes.keys[0]] & facing)
+        facing = in_front(eyes.places, where.points, np.array([yaw]), self._reach, *_LEVEL)
+        return self._is_known(where, lines.seen[eyes.keys[0]] & facing, eyes.places)
 
-    def is_faced(self, sought: Sought, eyes: F64, headings: F64, angle: float) -> bool:
-        """Return whether enough points of a target are visible on a walk. A point counts if it is visible from any of
-        the eyes (n, 3), within a horizontal angle of `angle` degrees around the heading there (n,).
-
-        Walks of a scene may be many: after `LINES_KEPT` lines of sight, the results of earlier calls, and of `look`,
-        are forgotten.
+    def first_frame(self, sought: Sought, eyes: F64, yaws: F64) -> int | None:
+        """Return the number of the first of n frames by which a target is seen, None if there is none. Frames are those
+        of the level camera at `eyes` (n, 3) that look in the directions `yaws` (n,). An object must be recognised in
+        one frame by its published points, not refuted by this package's own. A floor is seen in several together.
         """
         where = self._where(sought)
         if where is None:
+            return None
+        shown = in_front(eyes, where.points, yaws, self._limits(sought)[0], *_LEVEL)
+        if where.sides is None:
+            seen = np.logical_or.accumulate(self._free(where, eyes, shown), axis=0)
+            known = np.count_nonzero(seen, axis=1) >= where.least * len(where.points)
+        else:
+            known = where.degrees(shown, eyes) > 0  # what is hidden makes nothing larger
+            published = shown & (np.arange(len(where.points)) >= where.own)
+            known[known] = where.degrees(self._free(where, eyes[known], published[known]), eyes[known]) > 0
+            eyes = eyes[known]
+            known[known] = ~where.refuted(self._free(where, eyes, shown[known]))
+        return int(known.argmax()) if known.any() else None
+
+    def is_ahead(self, sought: Sought, eye: F64, yaw: float, degrees: float) -> bool:
+        """Return whether part of a target lies within an angle of the direction of an eye (3,), hidden or not."""
+        where = self._where(sought)
+        if where is None:
             return False
-        facing = in_view(eyes, where.points, View(range=self._reach, horizontal_fov=angle), headings)
-        some = np.flatnonzero(facing.any(axis=1))
-        if not len(some):
-            return False
-        if self._kept > LINES_KEPT:
-            self._lines.clear()
-            self._kept = 0
-        turned = Eyes(eyes[some])
-        self._cast_missing([(sought, [turned])])
-        seen: Bools = np.any(self._lines[sought].of(turned.keys) & facing[some], axis=0)
-        return where.is_seen(seen)
+        aside = math.tan(math.radians(degrees))
+        return bool(in_front(eye[None], where.points, np.array([yaw]), self._reach, aside, _ANY_SLOPE).any())
+
+    def _free(self, where: _Points, eyes: F64, shown: Bools) -> Bools:
+        """Return which of the points that are `shown` (n, k) to the eyes (n, 3) nothing hides. Where an agent turns,
+        several eyes in turn are one place.
+        """
+        if not len(eyes):
+            return shown
+        begins = np.append(True, (eyes[1:] != eyes[:-1]).any(axis=1))
+        free = np.logical_or.reduceat(shown, np.flatnonzero(begins))
+        eye, point = np.nonzero(free)
+        free[eye, point] = ~self._hiding.hidden(eyes[begins][eye], where.points[point], where.boxes[point])
+        seen: Bools = free[np.cumsum(begins) - 1] & shown
+        return seen
 
     def shares(self, sought: Sought, eyes: Eyes) -> list[float]:
-        """Return the visible share of each of a target's sets of points: first of the points that this package chose
-        itself, if there are any, then of the published points. `look` must have been asked before.
+        """Return the visible share of each of a target's sets of points from all eyes: first of the points that this
+        package chose itself, if there are any, then of the published points. `look` must have been asked before.
         """
         where = self._where(sought)
         if where is None:
@@ -353,10 +455,11 @@ class Sight:
 
     def _where(self, sought: Sought) -> _Points | None:
         """Return the sample points of a target; None if the target is not in the scene."""
-        if sought not in self._points:
-            kind, name = sought
-            self._points[sought] = self._of_thing(name) if kind == "thing" else self._of_floor(name)
-        return self._points[sought]
+        kind, name, _ = sought
+        key = (kind == "floor", name)
+        if key not in self._points:
+            self._points[key] = self._of_floor(name) if kind == "floor" else self._of_thing(name)
+        return self._points[key]
 
     def _of_floor(self, room_id: str) -> _Points | None:
         points = self._floor(room_id) if room_id in self._scene.room_of else np.empty((0, 3))
@@ -371,7 +474,7 @@ class Sight:
         triangles, faces = self._triangles(item), self._faces(item)
         if triangles is None:
             points = item.center[None]
-            return _Points(points, 0, self._own_boxes(object_id, points), least)
+            return _Points(points, 0, self._own_boxes(object_id, points), least, self._sides)
         ours = evenly(triangles)
         if known is not None and len(faces):
             published = mesh_samples(known.vertices, faces)
@@ -382,7 +485,7 @@ class Sight:
             numbers = self._boxes.get(object_id, [-1] * len(parts))
             published, lie_on = np.concatenate(parts), np.repeat(numbers, [len(part) for part in parts])
         boxes = np.concatenate([self._own_boxes(object_id, ours), lie_on])
-        return _Points(np.concatenate([ours, published]), len(ours), boxes, least)
+        return _Points(np.concatenate([ours, published]), len(ours), boxes, least, self._sides)
 
     def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
         """Return for each of an object's points (k, 3) the index of the object's box that the point lies on. Of several
@@ -416,6 +519,71 @@ class Sight:
         return np.concatenate([(middle + (_SIGNS * half) @ axes.T)[_TRIANGLES] for middle, half, axes in boxes])
 
 
+def absence_range(label: str, places: PlacesConfig) -> float:
+    """Return up to how many metres a floor is looked at to know that nothing with a label is on it: at that distance a
+    usual one is recognised. This is found out for each of the possible distances from the angles to the edges of the
+    thing.
+    """
+    long, short, lies = words().usual(label)
+    least = [math.radians(side) for side in (places.seen_degrees.short, places.seen_degrees.long)]
+    below = places.eye_height - {"floor": FLOOR_LIFT, "table": TABLE_HEIGHT}.get(lies, 0.0)
+    found = 0.0
+    for metres in ABSENCE_METRES:
+        spans = [2 * math.atan2(side / 2, metres) for side in (short, long)]
+        if lies:
+            ahead = math.sqrt(max(metres * metres - below * below, 0.0))
+            spans[0] = min(spans[0], math.atan2(below, ahead - short / 2) - math.atan2(below, ahead + short / 2))
+        if metres <= places.sight_range and all(span >= side for span, side in zip(spans, least, strict=True)):
+            found = metres
+    return found
+
+
+def in_range(eyes: F64, points: F64, reach: float, slope: float) -> Bools:
+    """Return which of the points (k, 3) are at most `reach` metres from each eye (n, 3), on a line of sight whose
+    height is at most `slope` of its length on the ground; (n, k).
+    """
+    x, y, z = points.T[:, None] - eyes.T[:, :, None]
+    found: Bools = x * x + y * y + z * z <= (reach + EDGE) ** 2
+    return found if math.isinf(slope) else found & (np.abs(y) <= np.hypot(x, z) * slope + EDGE)
+
+
+def in_front(eyes: F64, points: F64, yaws: F64, reach: float, aside: float, above: float) -> Bools:
+    """Return which points (k, 3) are at most `reach` metres from each eye (n, 3) and in its field of view; (n, k).
+
+    yaws : (n,) radians counter-clockwise from −z; aside, above : tangents of half the angles of view
+    """
+    x, y, z = points.T[:, None] - eyes.T[:, :, None]
+    sine, cosine = np.sin(yaws)[:, None], np.cos(yaws)[:, None]
+    ahead, across = -x * sine - z * cosine, x * cosine - z * sine
+    near = x * x + y * y + z * z <= (reach + EDGE) ** 2
+    found: Bools = near & (np.abs(across) <= ahead * aside + EDGE) & (np.abs(y) <= ahead * above + EDGE)
+    return found
+
+
+def rectangles(eyes: F64, points: F64, seen: Bools) -> F64:
+    """Return the shorter and the longer side (n, 2), in degrees, of the rectangle of azimuth × elevation around the
+    points (k, 3) that each eye (n, 3) sees, by the mask (n, k); 0 where it sees none.
+    """
+    away = np.where(seen[..., None], points - eyes[:, None], np.nan)
+    some = seen.any(axis=1)
+    sides = np.zeros((len(eyes), 2))
+    if some.any():
+        away = away[some]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            up = np.degrees(np.arcsin(away[..., 1] / np.linalg.norm(away, axis=-1)))
+        sides[some, 1] = np.nanmax(up, axis=1) - np.nanmin(up, axis=1)
+        # Sorted, with what is hidden at the end. The widest empty sector lies outside.
+        bearing = np.sort(np.degrees(np.angle(-away[..., 2] + 1j * away[..., 0])), axis=1)
+        last = np.nanmax(bearing, axis=1)
+        empty = 360.0 - (last - bearing[:, 0])
+        if bearing.shape[1] > 1:
+            empty = np.fmax(empty, np.fmax.reduce(np.diff(bearing, axis=1), axis=1))
+        # A sector is narrower on the parallels above and below the horizon.
+        sides[some, 0] = (360.0 - empty) * np.cos(np.radians(np.nanmin(np.abs(up), axis=1)))
+    sides.sort(axis=1)
+    return sides
+
+
 def _share(seen: Bools) -> float:
     return float(np.count_nonzero(seen)) / len(seen)
 
@@ -425,7 +593,14 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
 
     Within triangles they follow the R2 sequence (Roberts 2018), mapped from the square to a triangle by the root map.
     """
-    return spread(np.ascontiguousarray(triangles, np.float64), *_spread(count))
+    share, root, part = _spread(count)
+    first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    upto = np.cumsum(np.linalg.norm(np.cross(along, across), axis=1))
+    if not upto[-1]:  # the triangles are lines or points
+        upto = np.arange(1.0, len(triangles) + 1)
+    face = np.minimum(np.searchsorted(upto, share * upto[-1], side="right"), len(triangles) - 1)
+    points: F64 = first[face] + root[:, None] * ((1 - part)[:, None] * along[face] + part[:, None] * across[face])
+    return points
 
 
 @lru_cache(maxsize=16)

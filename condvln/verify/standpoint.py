@@ -1,5 +1,5 @@
-"""Decide whether objects are to the left, to the right, ahead or behind, as seen by an agent at its start pose. The
-code is independent of the generator's.
+"""The start pose of an episode: the direction that an agent faces, and whether objects are to its left, to its right,
+ahead or behind. The code is independent of the generator's.
 
 The agent's axes come from its rotation. An object is a rectangle on the ground, a direction is a wedge around one of
 the axes, and the two shapes are tested for intersection.
@@ -12,14 +12,42 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from condvln.scene import Room
-from condvln.verify.heading import yaw_of
-from condvln.verify.judgement import Judgement, judged
-from condvln.verify.surroundings import Thing, whole_mm
+from condvln.verify.surroundings import Judgement, Thing, judged, whole_mm
 from schemas.config import Thresholds
 from schemas.config.constants import SINK
 from schemas.evaluation import ManifestEpisode
 
-__all__ = ["BEARINGS", "Standpoint", "inside_outline"]
+__all__ = [
+    "BEARINGS",
+    "COMPASS",
+    "Standpoint",
+    "heading_of",
+    "inside_outline",
+    "yaw_of",
+]
+
+COMPASS: Final = {
+    name: 45.0 * k
+    for k, name in enumerate(("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"))
+}
+"""Compass directions in degrees clockwise from north."""
+
+UNIT: Final = 1e-6
+"""Tolerance of a rotation's norm around 1, and of its tilt around 0."""
+
+
+def yaw_of(rotation: Sequence[float]) -> float | None:
+    """Return the yaw in radians about +Y of a rotation ``[x, y, z, w]``; None if its axis is not vertical."""
+    x, y, z, w = rotation
+    if abs(x) > UNIT or abs(z) > UNIT or abs(math.hypot(y, w) - 1.0) > UNIT:
+        return None
+    return 2.0 * math.atan2(y, w)
+
+
+def heading_of(yaw: float) -> float:
+    """Return the compass heading in [0, 360) degrees; yaw is counter-clockwise, headings are clockwise."""
+    return math.degrees(-yaw) % 360.0
+
 
 BEARINGS: Final = {"ahead": (1, 0), "right": (0, 1), "behind": (-1, 0), "left": (0, -1)}
 """(ahead, to the right) of the middle of each direction."""

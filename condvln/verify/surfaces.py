@@ -1,219 +1,244 @@
-"""Distances between the surfaces of two objects, measured with FCL pair by pair."""
+"""Prove that two surfaces are near each other: by points of both that are no farther apart.
+
+The distance between two points, one on or in each object, is never less than the distance of the objects, whatever way
+the points were found; so that what is accepted is proven, and a search that finds no such points accepts nothing. The
+relation graph measures the same distance with FCL's hierarchies, which this module does not use.
+
+The search begins at pairs of small triangles whose middles are close, and then moves each pair of points to and fro:
+a point of one convex set is replaced by the nearest point of the other set, which ends at the nearest points of both
+sets (Cheney and Goldstein, 1959).
+"""
 
 from __future__ import annotations
 
-import math
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import fcl
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from condvln.scene import SceneObject
+from condvln.scene.boxes import transform_points
 from condvln.scene.meshes import shared_library
 
 __all__ = ["Shapes", "SurfaceGauge"]
 
 F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+Rows = NDArray[np.intp]
 
-KEPT_TRIANGLES: Final = 1_500_000
-"""Number of triangles whose FCL hierarchies are kept for the next scene: about 300 MB, four times ReplicaCAD."""
+LONGEST_EDGE: Final = 0.1
+"""Metres. Triangles are halved until their edges are no longer, so that their middles are close to all their points."""
 
-ORTHOGONAL: Final = 1e-9
-"""Largest dot product of two unit axes of a transform that still counts as a rotation."""
+FINEST: Final = 0.01
+"""Edges are halved no further than to this share of a mesh's diagonal, so that a huge triangle costs no more."""
 
-_IDENTITY: Final = np.eye(3)
-_CUBE: Final = trimesh.creation.box(extents=np.ones(3))
-_CORNERS_OF_CUBE: Final[F64] = np.array(_CUBE.vertices)
-_FACES_OF_CUBE: Final[I64] = np.array(_CUBE.faces)
+PAIRS: Final = 256
+"""Number of pairs of triangles from which the nearest points are searched."""
+
+NEIGHBOURS: Final = 8
+"""Number of triangles that each triangle of the other mesh is paired with."""
+
+FEW: Final = 500
+"""The first search looks at so many triangles of an object."""
+
+ROUNDS: Final = 500
+SETTLED: Final = 1e-7
+"""The search ends after so many rounds, or with a round that moves no point by so many metres."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Shape:
-    """m triangles in their own frame. `corners` (m, 3) has the first corner of each, `bounds` (2, 3) encloses them all,
-    and `solid` tells whether they enclose an interior.
-    """
+class _Boxes:
+    """k boxes: centers (k, 3), half extents (k, 3), rotations (k, 3, 3) with the boxes' axes as columns."""
 
-    vertices: F64
-    faces: I64
-    model: Any
+    centers: F64
+    half_extents: F64
+    rotations: F64
+
+    def nearest(self, rows: Rows, points: F64) -> F64:
+        """Return the points (n, 3) of the boxes `rows` (n,) that are nearest to `points` (n, 3): their own, inside."""
+        axes, half = self.rotations[rows], self.half_extents[rows]
+        local = np.einsum("nij,ni->nj", axes, points - self.centers[rows])
+        found: F64 = self.centers[rows] + np.einsum("nij,nj->ni", axes, np.clip(local, -half, half))
+        return found
+
+    def bounds(self) -> tuple[F64, F64]:
+        """Return the lowest and the highest corner (3,) of what they fill."""
+        reach = np.einsum("nij,nj->ni", np.abs(self.rotations), self.half_extents)
+        return (self.centers - reach).min(axis=0), (self.centers + reach).max(axis=0)
+
+    def few(self) -> _Boxes:
+        """Return all boxes, which are few."""
+        return self
+
+    def within(self, other: _Boxes | _Triangles, reach: float) -> _Boxes:
+        """Return all boxes, which are few."""
+        return self
+
+    def near(self, other: _Boxes | _Triangles) -> tuple[Rows, Rows]:
+        """Return the pairs to search, as rows of both: all boxes, or for each box the triangles closest to it."""
+        mine = np.arange(len(self.centers))
+        if isinstance(other, _Boxes):
+            first, second = np.meshgrid(mine, np.arange(len(other.centers)), indexing="ij")
+            return first.reshape(-1), second.reshape(-1)
+        rows: list[Rows] = []
+        closest: list[Rows] = []
+        for k in mine:
+            row = np.full(len(other.centers), k)
+            best = _least(np.linalg.norm(self.nearest(row, other.centers) - other.centers, axis=1))
+            rows.append(row[best])
+            closest.append(best)
+        return np.concatenate(rows), np.concatenate(closest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Triangles:
+    """Triangles (m, 3, 3) in the scene's frame."""
+
     corners: F64
-    bounds: F64
-    solid: bool
 
     @cached_property
-    def mesh(self) -> trimesh.Trimesh:
-        """The triangles as a mesh. Few shapes are asked whether they contain a point."""
-        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+    def centers(self) -> F64:
+        """(m, 3) their middles."""
+        middles: F64 = self.corners.mean(axis=1)
+        return middles
 
+    def nearest(self, rows: Rows, points: F64) -> F64:
+        """Return the points (n, 3) of the triangles `rows` (n,) that are nearest to `points` (n, 3)."""
+        found: F64 = trimesh.triangles.closest_point(self.corners[rows], points)
+        return found
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A shape that is placed in the scene by a rotation (3, 3) and a translation (3,). `bounds` (2, 3) enclose the
-    placed shape, perhaps not tightly.
-    """
+    def bounds(self) -> tuple[F64, F64]:
+        """Return the lowest and the highest corner (3,) of what they fill."""
+        return self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
 
-    shape: _Shape
-    rotation: F64
-    translation: F64
-    bounds: F64
-    collision: Any
+    def few(self) -> _Triangles:
+        """Return some of them, for a first search."""
+        return _Triangles(self.corners[:: -(-len(self.corners) // FEW)])
 
-    def to_own(self, points: F64) -> F64:
-        """Transform points (n, 3) from the scene's frame to the shape's."""
-        moved: F64 = (points - self.translation) @ self.rotation
-        return moved
+    def within(self, other: _Boxes | _Triangles, reach: float) -> _Triangles:
+        """Return those whose bounds are within `reach` metres of the bounds of the other solid along every axis, in
+        small triangles.
+        """
+        low, high = other.bounds()
+        meet = (self.corners.min(axis=1) <= high + reach) & (self.corners.max(axis=1) >= low - reach)
+        return _Triangles(_halved(self.corners[meet.all(axis=1)]))
 
-    def to_scene(self, points: F64) -> F64:
-        """Transform points (n, 3) from the shape's frame to the scene's."""
-        moved: F64 = points @ self.rotation.T + self.translation
-        return moved
+    def near(self, other: _Boxes | _Triangles) -> tuple[Rows, Rows]:
+        """Return the pairs to search, as rows of both: those whose middles are closest."""
+        if isinstance(other, _Boxes):
+            second, first = other.near(self)
+            return first, second
+        nearby = range(1, 1 + min(NEIGHBOURS, len(other.centers)))
+        away, paired = cKDTree(other.centers).query(self.centers, k=nearby)
+        best = _least(away.reshape(-1))
+        return best // len(nearby), paired.reshape(-1)[best]
 
 
 class Shapes:
-    """The FCL models of the meshes under one dataset root. All scenes share the models, since building one is
-    expensive.
-    """
+    """The meshes under one dataset root. All scenes share them."""
 
     def __init__(self, root: Path) -> None:
         self._library = shared_library(root)
-        self._kept: OrderedDict[tuple[str, bytes], _Shape] = OrderedDict()
 
-    def parts(self, item: SceneObject) -> list[_Part]:
-        """Return an object's meshes, else its oriented box, else its axis-aligned box; empty if its extent is
+    def of(self, item: SceneObject) -> _Boxes | _Triangles | None:
+        """Return an object's meshes, else its oriented boxes, else its axis-aligned box; None if its extent is
         unknown.
         """
-        parts = [self._placed(part.path, part.transform) for part in item.mesh]
-        parts = [part for part in parts if len(part.shape.corners)]
-        if parts or (item.obb is None and item.box is None):
-            return parts
-        if item.parts:
-            return [_placed(_cuboid(2 * p.half_extents), p.rotation, p.center) for p in item.parts]
-        if item.obb is not None:
-            extents, centre, rotation = 2 * item.obb.half_extents, item.obb.center, item.obb.rotation
-        else:
-            assert item.box is not None
-            extents, centre, rotation = item.box[1] - item.box[0], item.box.mean(axis=0), _IDENTITY
-        # FCL's own box-box distance is wrong if centres share a coordinate; twelve triangles are right.
-        return [_placed(_cuboid(extents), rotation, centre)]
+        meshes = [(part.transform, self._library.geometry(part.path)) for part in item.mesh]
+        corners = [transform_points(transform, its.vertices)[its.faces] for transform, its in meshes]
+        if any(len(triangles) for triangles in corners):
+            return _Triangles(np.concatenate(corners))
+        boxes = item.parts or (() if item.obb is None else (item.obb,))
+        if boxes:
+            return _Boxes(*(np.array([getattr(box, name) for box in boxes]) for name in _BOX))
+        if item.box is None:
+            return None
+        low, high = item.box
+        return _Boxes((low + high)[None] / 2, (high - low)[None] / 2, np.eye(3)[None])
 
-    def _placed(self, path: str, transform: F64) -> _Part:
-        """Return a mesh file placed by a transform. Scale and shear are applied to the triangles; rotation and
-        translation are kept apart.
-        """
-        linear = transform[:3, :3]
-        scale = np.sqrt((linear * linear).sum(axis=0))
-        rotation = linear / scale if (scale > 0).all() else _IDENTITY
-        if np.abs(rotation.T @ rotation - _IDENTITY).max() > ORTHOGONAL or _is_mirrored(rotation):
-            rotation = _IDENTITY
-        own = rotation.T @ linear
-        # The scales of several instances of one model differ only in the last bits.
-        own = np.round(own, 12) + 0.0
-        key = (path, own.tobytes())
-        shape = self._kept.get(key)
-        if shape is None:
-            known = self._library.geometry(path)
-            shape = _shape(known.vertices @ own.T, known.faces.astype(np.int64), known.watertight)
-            self._kept[key] = shape
-            while len(self._kept) > 1 and sum(len(kept.corners) for kept in self._kept.values()) > KEPT_TRIANGLES:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return _placed(shape, rotation, transform[:3, 3])
+
+_BOX: Final = ("center", "half_extents", "rotation")
 
 
 class SurfaceGauge:
-    """The surface distances in one scene, each measured once."""
+    """Bounds of the distances between the surfaces of one scene, each found once."""
 
     def __init__(self, shapes: Shapes) -> None:
         self._shapes = shapes
-        self._parts: dict[str, list[_Part]] = {}
-        self._distances: dict[tuple[str, str], float | None] = {}
+        self._solids: dict[str, _Boxes | _Triangles | None] = {}
+        self._found: dict[tuple[str, str, float], float | None] = {}
 
-    def millimetres(self, one: SceneObject, other: SceneObject) -> float | None:
-        """Return the distance between the surfaces of two objects in whole millimetres: 0 if they touch or one contains
-        the other, None if it is unknown.
+    def at_most(self, one: SceneObject, other: SceneObject, enough: float) -> float | None:
+        """Return whole millimetres; the surfaces of two objects are no farther apart. None if an extent is unknown.
+
+        enough : millimetres; no smaller bound is searched for once one is found that is no greater
         """
         first, second = sorted((one, other), key=lambda item: item.object_id)
-        key = (first.object_id, second.object_id)
-        if key not in self._distances:
-            self._distances[key] = _between(self._of(first), self._of(second))
-        return self._distances[key]
+        key = (first.object_id, second.object_id, enough)
+        if key not in self._found:
+            self._found[key] = self._search(first, second, enough)
+        return self._found[key]
 
-    def _of(self, item: SceneObject) -> list[_Part]:
-        if item.object_id not in self._parts:
-            self._parts[item.object_id] = self._shapes.parts(item)
-        return self._parts[item.object_id]
+    def _search(self, first: SceneObject, second: SceneObject, enough: float) -> float | None:
+        """Search among a few triangles, and only if that is not enough among all that may be nearer than those."""
+        one, other = self._of(first), self._of(second)
+        if one is None or other is None:
+            return None
+        found = _apart(one.few(), other.few(), enough / 1000.0)
+        if np.rint(1000.0 * found) > enough:
+            reach = found + SETTLED
+            found = min(found, _apart(one.within(other, reach), other.within(one, reach), enough / 1000.0))
+        return float(np.rint(1000.0 * found))
 
-
-def _cuboid(extents: F64) -> _Shape:
-    """Return a box around the origin."""
-    return _shape(_CORNERS_OF_CUBE * extents, _FACES_OF_CUBE, True)
-
-
-def _shape(vertices: F64, faces: I64, solid: bool) -> _Shape:
-    if not len(faces):
-        return _Shape(vertices, faces, None, np.zeros((0, 3)), np.zeros((2, 3)), solid)
-    triangles = vertices[faces]
-    model = fcl.BVHModel()
-    model.beginModel(len(faces), len(vertices))
-    model.addSubModel(vertices, faces)
-    model.endModel()
-    bounds = np.array([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
-    return _Shape(vertices, faces, model, triangles[:, 0].copy(), bounds, solid)
+    def _of(self, item: SceneObject) -> _Boxes | _Triangles | None:
+        if item.object_id not in self._solids:
+            self._solids[item.object_id] = self._shapes.of(item)
+        return self._solids[item.object_id]
 
 
-def _is_mirrored(matrix: F64) -> bool:
-    """Return whether a matrix (3, 3) turns right-handed axes into left-handed ones."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0)
-
-
-def _placed(shape: _Shape, rotation: F64, translation: F64) -> _Part:
-    low, high = shape.bounds
-    centre, reach = rotation @ (low + high) / 2 + translation, np.abs(rotation) @ (high - low) / 2
-    collision = None if shape.model is None else fcl.CollisionObject(shape.model, fcl.Transform(rotation, translation))
-    return _Part(shape, rotation, translation, np.array([centre - reach, centre + reach]), collision)
-
-
-def _between(first: list[_Part], second: list[_Part]) -> float | None:
-    if not first or not second:
-        return None
-    apart = [(_least(one, other), one, other) for one in first for other in second]
-    distance = np.inf
-    for bound, one, other in sorted(apart, key=lambda pair: pair[0]):
-        if bound > distance:
-            break
-        found = fcl.distance(one.collision, other.collision, fcl.DistanceRequest(), fcl.DistanceResult())
-        distance = min(distance, float(found))
-    if distance <= 0.0 or _holds(first, second) or _holds(second, first):
-        return 0.0
-    return float(np.rint(distance * 1000.0))
-
-
-def _least(one: _Part, other: _Part) -> float:
-    """Return a lower bound in metres of the distance between two parts."""
-    (low, high), (its_low, its_high) = one.bounds.tolist(), other.bounds.tolist()
-    return math.hypot(*[max(low[k] - its_high[k], its_low[k] - high[k], 0.0) for k in range(3)])
-
-
-def _holds(outer: list[_Part], inner: list[_Part]) -> bool:
-    """Return whether some part of `inner` lies inside some part of `outer`. The surfaces of the two bodies must not
-    touch, which is not checked here.
+def _apart(one: _Boxes | _Triangles, other: _Boxes | _Triangles, enough: float) -> float:
+    """Return the least distance in metres found between a point of one solid and a point of the other one. The search
+    ends early with one that is `enough`.
     """
-    return all(part.shape.solid for part in outer) and any(_contains(one, other) for one in outer for other in inner)
+    first, second = one.near(other)
+    points, least = one.centers[first], np.inf
+    before = points
+    for number in range(ROUNDS):
+        opposite = other.nearest(second, points)
+        moved = one.nearest(first, opposite)
+        least = min(least, float(np.linalg.norm(moved - opposite, axis=1).min()))
+        if least <= enough or np.abs(moved - points).max() <= SETTLED:
+            break
+        # Nesterov's step: alternating projections alone creep between solids that are almost parallel.
+        points, before = moved + number / (number + 3) * (moved - before), moved
+    return least
 
 
-def _contains(outer: _Part, inner: _Part) -> bool:
-    if _least(outer, inner) > 0.0:
-        return False
-    low, high = outer.shape.bounds
-    # One corner per triangle covers every connected piece of the surface; each piece is entirely inside or outside.
-    points = outer.to_own(inner.to_scene(inner.shape.corners))
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
-    return bool(len(points)) and bool(outer.shape.mesh.contains(points).any())
+def _least(values: F64) -> Rows:
+    """Return the places of the `PAIRS` least values (n,)."""
+    if len(values) <= PAIRS:
+        return np.arange(len(values))
+    return np.argpartition(values, PAIRS)[:PAIRS]
+
+
+def _halved(triangles: F64) -> F64:
+    """Return triangles (m, 3, 3) with their longest edges halved until none is longer than `LONGEST_EDGE`."""
+    if not len(triangles):
+        return triangles
+    longest = max(LONGEST_EDGE, FINEST * float(np.linalg.norm(np.ptp(triangles, axis=(0, 1)))))
+    done: list[F64] = []
+    rest = triangles
+    while len(rest):
+        edges = np.linalg.norm(rest - np.roll(rest, -1, axis=1), axis=2)  # edge k from corner k to the next one
+        is_small = edges.max(axis=1) <= longest
+        done.append(rest[is_small])
+        rest, at = rest[~is_small], edges[~is_small].argmax(axis=1)
+        rows = np.arange(len(rest))
+        a, b, c = (rest[rows, (at + k) % 3] for k in range(3))
+        middle = (a + b) / 2
+        rest = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)

@@ -1,22 +1,56 @@
 """The surroundings of an object in its room: the height above the floor, the objects that it rests on or is inside of,
-and the distances to other objects.
+and the distances to other objects. Judgements, which are made of these.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from condvln.scene import SceneObject
 from schemas.config import Thresholds
 from schemas.config.constants import GROUP_RUG, GROUP_TABLE
 
-__all__ = ["Point", "Said", "Surroundings", "Thing", "box_gap", "footprint_gap", "shared_sides", "whole_mm"]
+__all__ = [
+    "FALSE",
+    "TRUE",
+    "UNDECIDED",
+    "Judgement",
+    "Point",
+    "Said",
+    "Surroundings",
+    "Thing",
+    "box_gap",
+    "footprint_gap",
+    "judged",
+    "shared_sides",
+    "whole_mm",
+]
+
+TRUE, FALSE, UNDECIDED = 1, -1, 0
+
+
+class Judgement(NamedTuple):
+    """A verdict (true, false, or undecided), and the metres, degrees and shares that the verdict is based on."""
+
+    verdict: int
+    numbers: Mapping[str, float | None]
+
+
+def judged(
+    true: bool, false: bool, shares: Mapping[str, float | None] | None = None, **millimetres: float | None
+) -> Judgement:
+    """Return the judgement that follows from `true` and `false`; it is undecided if neither is set. `shares` are stored
+    unchanged, all other numbers are converted from millimetres to metres.
+    """
+    verdict = TRUE if true else FALSE if false else UNDECIDED
+    metres = {k: None if v is None else round(v / 1000.0, 3) for k, v in millimetres.items()}
+    return Judgement(verdict, {**metres, **(shares or {})})
+
 
 Point = tuple[int, int, int]
 
@@ -66,6 +100,11 @@ class Thing:
         assert self.box is not None
         return self.box[1][0] - self.box[0][0], self.box[1][2] - self.box[0][2]
 
+    def volume(self) -> int:
+        """Volume of the object's box in cubic millimetres; the object must have a box."""
+        assert self.box is not None
+        return math.prod(high - low for low, high in zip(*self.box, strict=True))
+
     def sides(self) -> list[float]:
         """Sides of an object's oriented box, else of its axis-aligned box, the longest last; empty if it has no box."""
         if self.item.obb is not None:
@@ -89,8 +128,8 @@ class Surroundings:
         self._things = things
         self._floor = None if math.isnan(floor) else round(floor * 1000.0)
         self._lift, self._slack = whole_mm(thresholds.on_gap_true), whole_mm(thresholds.on_gap_false)
-        self._carriers: dict[str, frozenset[str]] = {}
-        self._holders: dict[str, frozenset[str]] = {}
+        self._carriers: dict[str, set[str]] = {}
+        self._holders: dict[str, set[str]] = {}
         self._share, self._most = thresholds.held_footprint, thresholds.held_inside
         self._said = said or {}
 
@@ -144,23 +183,14 @@ class Surroundings:
 
     def may_carry(self, lower: Thing, upper: Thing) -> bool:
         """Return whether `upper` may rest on `lower`, directly or through other objects."""
-        return lower.object_id in self._carriers_of(upper)
+        return lower.object_id in self._reached(upper, self._carriers, lambda x, above: self.may_rest(above, x))
 
     def holds(self, outer: Thing, thing: Thing) -> bool:
         """Return whether `outer` supports `thing` or surrounds most of `thing`, directly or through other objects.
 
         Footprints must overlap: an object that only touches another one is beside it.
         """
-        if thing.object_id not in self._holders:
-            found: set[str] = set()
-            ahead = [thing]
-            while ahead:
-                inner = ahead.pop()
-                new = [x for x in self._beside(inner) if x.object_id not in found and self._has(x, inner)]
-                found.update(x.object_id for x in new)
-                ahead += new
-            self._holders[thing.object_id] = frozenset(found)
-        return outer.object_id in self._holders[thing.object_id]
+        return outer.object_id in self._reached(thing, self._holders, self._has)
 
     def is_put_away(self, thing: Thing, containers: Mapping[str, str]) -> bool:
         """Return whether an object is in a container for storage."""
@@ -183,33 +213,6 @@ class Surroundings:
                 if max(footprint_gap(middle, thing) for thing in (one, other)) <= 1000.0 * reach:
                     return True
         return False
-
-    def _beside(self, inner: Thing) -> Sequence[Thing]:
-        """Return the objects that may support or surround `inner`: all but those of which `_apart` says that they share
-        no ground with it, unless the source names them.
-        """
-        if self._share <= 0.0 or inner.pieces or inner.box is None:
-            return self._things
-        (x, _, z), (x1, _, z1) = inner.box
-        sides = self._footprints
-        shared = (sides[0] < x1) & (sides[1] > x) & (sides[2] < z1) & (sides[3] > z)
-        found = [self._things[k] for k in shared.nonzero()[0].tolist()]
-        named = set(inner.item.receptacles or ()) - {thing.object_id for thing in found}
-        return [*found, *(thing for thing in self._things if thing.object_id in named)] if named else found
-
-    @cached_property
-    def _footprints(self) -> NDArray[np.float64]:
-        """West, east, north and south side in millimetres (4, n) of each object; without bounds for one that is not a
-        single box.
-        """
-        everywhere = (-math.inf, math.inf, -math.inf, math.inf)
-        sides = [
-            everywhere
-            if thing.pieces or thing.box is None
-            else (thing.box[0][0], thing.box[1][0], thing.box[0][2], thing.box[1][2])
-            for thing in self._things
-        ]
-        return np.array(sides, dtype=np.float64).reshape(-1, 4).T
 
     def _has(self, outer: Thing, inner: Thing) -> bool:
         if outer.object_id == inner.object_id:
@@ -240,22 +243,24 @@ class Surroundings:
             for b in outer.solids():
                 if a.box is None or b.box is None:
                     continue
-                volume = math.prod(high - low for low, high in zip(*a.box, strict=True))
+                volume = a.volume()
                 if volume > 0 and math.prod(shared_sides(a, b)) / volume > self._most:
                     return True
         return False
 
-    def _carriers_of(self, thing: Thing) -> frozenset[str]:
-        if thing.object_id not in self._carriers:
-            found: dict[str, Thing] = {}
-            ahead = [thing]
+    def _reached(self, thing: Thing, known: dict[str, set[str]], leads: Callable[[Thing, Thing], bool]) -> set[str]:
+        """Return the ids of the objects x for which `leads` (x, thing), or (x, y) with a y that is found so itself.
+        What is `known` already is not sought again. Of a piece, its whole object is meant.
+        """
+        if thing.object_id not in known:
+            found = known[thing.object_id] = set()
+            ahead = [x for x in self._things if x.object_id == thing.object_id] or [thing]
             while ahead:
-                upper = ahead.pop()
-                new = [x for x in self._things if x.object_id not in found and self.may_rest(upper, x)]
-                found.update((lower.object_id, lower) for lower in new)
+                before = ahead.pop()
+                new = [x for x in self._things if x.object_id not in found and leads(x, before)]
+                found.update(x.object_id for x in new)
                 ahead += new
-            self._carriers[thing.object_id] = frozenset(found)
-        return self._carriers[thing.object_id]
+        return known[thing.object_id]
 
 
 def whole_mm(metres: float) -> float:

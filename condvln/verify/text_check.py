@@ -4,17 +4,17 @@ leaf.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from functools import lru_cache
+from typing import Final
 
-from condvln.verify.certificate import Certificate
-from condvln.verify.heading import COMPASS, heading_of, yaw_of
+from condvln.verify.certificate import Certificate, VerifierRules
+from condvln.verify.files import UnplacedText
 from condvln.verify.phrases import Moves, Named, Phrase
 from condvln.verify.predicates import DIRECTIONS
 from condvln.verify.program_check import leaf_of
 from condvln.verify.referents import Answer, Problem, Referent, SceneReferents
-from condvln.verify.rules import VerifierRules
-from condvln.verify.standpoint import BEARINGS, Standpoint
+from condvln.verify.standpoint import BEARINGS, COMPASS, Standpoint, heading_of, yaw_of
 from condvln.verify.text_reader import TextReading, Unreadable, read
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.evaluation import ManifestEpisode
@@ -22,9 +22,11 @@ from schemas.program import Category, Condition, ObjectRef, Program, asked_in
 
 __all__ = ["check_meaning"]
 
+_NO_START: Final = "the text has no start, so it is unknown what is left, right, ahead or behind"
+
 
 def check_meaning(
-    row: ManifestEpisode, referents: SceneReferents, rules: VerifierRules, certificate: Certificate
+    row: ManifestEpisode | UnplacedText, referents: SceneReferents, rules: VerifierRules, certificate: Certificate
 ) -> None:
     """Check every property of an episode that follows from its text and the scene, without navmesh and paths."""
     certificate.same("words", row.words, len(row.instruction_text.split()))
@@ -39,12 +41,15 @@ def check_meaning(
     order = _check_conditions(row.program, reading, referents.single_room, certificate)
     if order is None:
         return
-    start = Standpoint.of(row)
-    truths = _check_claims(row.program, reading, order, referents, start, certificate)
+    start = Standpoint.of(row) if isinstance(row, ManifestEpisode) else None
+    unknown: Set[str] = BEARINGS.keys() if isinstance(row, UnplacedText) else frozenset()
+    if not unknown.isdisjoint(_said(reading)):
+        certificate.unproven.update(dict.fromkeys(("condition_truth", "referents", "gold_leaf"), _NO_START))
+    truths = _check_claims(row.program, reading, order, referents, start, unknown, certificate)
     leaves = _check_branches(row.program, reading, order, referents.single_room, certificate)
     if leaves is None:
         return
-    _check_stops(row.program, leaves, referents, start, certificate)
+    _check_stops(row.program, leaves, referents, start, unknown, certificate)
     if truths is not None:
         case = sum(1 << place for place, truth in zip(order, truths, strict=True) if truth)
         certificate.same("gold_leaf", row.gold_leaf, leaves.index(reading.moves[case]))
@@ -59,20 +64,29 @@ def _check_rooms(program: Program, referents: SceneReferents, certificate: Certi
         certificate.same("room_named", label, None if view is None else view.label, room_id)
 
 
-def _check_heading(row: ManifestEpisode, reading: TextReading, rules: VerifierRules, certificate: Certificate) -> None:
-    said = {phrase.qualifier[0] for phrase in reading.conditions if phrase.qualifier is not None}
-    for moves in reading.moves:
-        said.update([stop.qualifier[0] for stop in moves if stop.qualifier is not None])
+def _check_heading(
+    row: ManifestEpisode | UnplacedText, reading: TextReading, rules: VerifierRules, certificate: Certificate
+) -> None:
+    said = _said(reading)
     directed = not said.isdisjoint(DIRECTIONS)
     used = {"compass"} if directed else set()
     used |= set() if said.isdisjoint(BEARINGS) else {"egocentric"}
     certificate.holds("directions", used <= {rules.directions}, rules.directions, sorted(used))
+    if not isinstance(row, ManifestEpisode):
+        certificate.holds("heading", reading.heading is None, "no start", reading.heading)
+        return
     if directed and rules.text.preamble:
         certificate.holds("heading_stated", reading.heading is not None, "compass words", "no heading")
     yaw = yaw_of(row.start_rotation)
     if reading.heading is not None and yaw is not None:
         off = (heading_of(yaw) - COMPASS[reading.heading] + 180.0) % 360.0 - 180.0
         certificate.holds("heading", abs(off) <= HEADING_TOLERANCE, reading.heading, round(heading_of(yaw), 3))
+
+
+def _said(reading: TextReading) -> set[str]:
+    """Return the predicates of all qualifiers of a text."""
+    phrases = [*reading.conditions, *(stop for moves in reading.moves for stop in moves)]
+    return {phrase.qualifier[0] for phrase in phrases if phrase.qualifier is not None}
 
 
 def _check_conditions(
@@ -124,12 +138,17 @@ def _check_claims(
     order: Sequence[int],
     referents: SceneReferents,
     start: Standpoint | None,
+    unknown: Set[str],
     certificate: Certificate,
 ) -> list[bool] | None:
-    """Return the truths of the program's conditions in the scene; None if one can't be decided."""
+    """Return the truths of the program's conditions in the scene; None if one can't be decided, such as one by a
+    predicate that is `unknown`.
+    """
     truths: list[bool] = []
     for k, (condition, place) in enumerate(zip(program.conditions, order, strict=True)):
         name = f"condition {k}"
+        if condition.qualifier is not None and condition.qualifier.predicate in unknown:
+            continue
         answer = referents.claim(reading.conditions[place], start)
         if isinstance(answer, Problem):
             certificate.holds(answer.fact, False, answer.needed, answer.found, f"{name} ({reading.conditions[place]})")
@@ -159,12 +178,14 @@ def _check_stops(
     leaves: Sequence[Moves],
     referents: SceneReferents,
     start: Standpoint | None,
+    unknown: Set[str],
     certificate: Certificate,
 ) -> None:
     """Check that every stop of the text refers to exactly one object, and that the program names the same object."""
-    agreed = 0
     for k, (leaf, moves) in enumerate(zip(program.leaves, leaves, strict=True)):
         for j, (move, stop) in enumerate(zip(leaf.moves, moves, strict=True)):
+            if stop.qualifier is not None and stop.qualifier[0] in unknown:
+                continue
             found = referents.thing(stop, start)
             if isinstance(found, Problem):
                 name = f"leaf {k} stop {j} ({stop})"
@@ -174,11 +195,7 @@ def _check_stops(
                 # The text does not name the stop's room. The program's name for the room must be valid nevertheless.
                 found = _with_room(found, move, referents)
             claimed, own = (move.object_id, *_ids(move)), (found.object_id, *_found_ids(found))
-            if claimed == own:
-                agreed += 1
-            else:
-                certificate.same("referents", claimed, own, f"leaf {k} stop {j}")
-    certificate.held("referents", agreed)
+            certificate.same("referents", claimed, own, f"leaf {k} stop {j}")
 
 
 def _with_room(found: Referent, move: ObjectRef, referents: SceneReferents) -> Referent:

@@ -13,7 +13,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,12 +21,11 @@ from numpy.typing import NDArray
 
 from condvln.formats.image_files import encoders, jpeg, png16
 from condvln.formats.regular_file import read_regular
-from condvln.navigation.follower import STOP, Follower
+from condvln.navigation.follower import STOP, ActionSpace, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
-from condvln.verify.exploration import Onlooker
-from condvln.verify.training_layouts import prove_layouts
-from condvln.verify.trajectory_files import MOST_PNG_LEVEL, read_annotations, read_record, read_table, walks_with_poses
+from condvln.verify.layouts import DAMAGED, HUBS, WriteLayout, meaning_of, prove_layouts
+from condvln.verify.trajectory_files import read_annotations, read_record, read_table, walks_with_poses
 from schemas.config import CameraConfig
 from schemas.evaluation import ManifestEpisode
 
@@ -58,7 +56,8 @@ class TrajectoryWorld:
 
     episodes : the manifest's rows of the split, by episode id
     text : the instruction that a kind of walk of an episode has
-    pathfinder, renderer, onlooker : of an episode's scene
+    pathfinder, renderer : of an episode's scene
+    write_layout : writes a layout once more
     render_every : of how many images one is rendered again; 0 for none
     """
 
@@ -66,23 +65,23 @@ class TrajectoryWorld:
     text: Callable[[ManifestEpisode, str], str]
     pathfinder: Callable[[ManifestEpisode], Pathfinder]
     renderer: Callable[[ManifestEpisode], Renderer]
-    onlooker: Callable[[ManifestEpisode], Onlooker]
+    write_layout: WriteLayout
     render_every: int = 50
 
 
 @dataclass
 class TrajectoryProof:
-    """How many walks, frames, images and layout rows were checked, how many images were rendered again, of how many
-    conditions exploration walks had to see the evidence, and which faults were found; what read the textures when the
-    images were made, by kind of texture.
+    """How many walks, frames, images and layout rows were checked, of how many walks the words of each layout were
+    replayed, how many images were rendered again, and which faults were found; what read the textures when the images
+    were made, by kind of texture.
     """
 
     walks: int = 0
     frames: int = 0
     images: int = 0
     rendered: int = 0
-    looked_for: int = 0
     layout_rows: dict[str, int] = field(default_factory=dict)
+    layout_walks: dict[str, int] = field(default_factory=dict)
     decoders: Mapping[str, str] = field(default_factory=dict)
     faults: list[TrajectoryFault] = field(default_factory=list)
 
@@ -99,15 +98,17 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
     images = record["config"] | {"encoders": record["encoders"]}
     proof = TrajectoryProof(decoders=record["decoders"])
     written = record["images_written"]
-    entries = {str(entry.get("trajectory")): entry for entry in read_annotations(folder)} if written else {}
+    space = ActionSpace(forward=images["forward"], turn=images["turn"])
+    annotated = written and bool({*HUBS} & {*record["layouts"]})
+    entries = {str(entry.get("trajectory")): entry for entry in read_annotations(folder)} if annotated else {}
     walks = read_table(folder, "trajectories").to_pylist()
     names = [walk["trajectory"] for walk in walks]
-    if (written and sorted(entries) != sorted(names)) or len(set(names)) != len(names):
+    if (annotated and sorted(entries) != sorted(names)) or len(set(names)) != len(names):
         proof.faults.append(TrajectoryFault("", "annotations.json and trajectories.parquet have different walks"))
     owners = {walk["trajectory"]: walk for walk in walks if walk["frames_of"] == walk["trajectory"]}
     for walk in walks:
         proof.walks += 1
-        found = _Walk(walk, entries.get(walk["trajectory"]), world)
+        found = _Walk(walk, entries.get(walk["trajectory"]), world, space)
         proof.faults += [TrajectoryFault(walk["trajectory"], what) for what in _readable(found.faults(owners))]
     seen: set[str] = set()
     for name, rows in walks_with_poses(folder / "poses.parquet"):
@@ -116,13 +117,23 @@ def prove_trajectories(folder: Path, world: TrajectoryWorld) -> TrajectoryProof:
         if walk is None:
             proof.faults.append(TrajectoryFault(name, "poses.parquet has a walk that trajectories.parquet has not"))
             continue
-        frames = _Frames(folder if written else None, walk, rows, cameras, images, world)
+        frames = _Frames(folder if written else None, walk, rows, cameras, images, world, space)
         proof.faults += [TrajectoryFault(name, what) for what in _readable(frames.faults(proof))]
     proof.faults += [TrajectoryFault(name, "the walk has no poses") for name in sorted(set(owners) - seen)]
     if written:
-        layouts = prove_layouts(folder, record, walks)
-        proof.layout_rows = layouts.rows
+        layouts = prove_layouts(folder, record, walks, world.write_layout, sound=not proof.faults)
+        proof.layout_rows = dict(layouts.rows)
         proof.faults += [TrajectoryFault(name, what) for name, what in layouts.faults]
+        meant: dict[str, ActionSpace] = {}
+        for name in layouts.words:
+            try:
+                meant[name] = meaning_of(folder, name)
+            except DAMAGED as error:
+                proof.faults.append(TrajectoryFault("", f"{name}: it does not say what its actions mean ({error})"))
+        for walk in walks:
+            words = {name: (size, layouts.words[name].get(walk["trajectory"])) for name, size in meant.items()}
+            compared = _readable(_said(walk, words, world, space, proof))
+            proof.faults += [TrajectoryFault(walk["trajectory"], what) for what in compared]
     left_out = read_table(folder, "left_out").to_pylist()
     proof.faults += [TrajectoryFault("", what) for what in _unaccounted(world.episodes, images, walks, left_out)]
     return proof
@@ -138,24 +149,57 @@ def _readable(faults: Iterator[str]) -> Iterator[str]:
 
 def _unaccounted(episodes: Iterable[int], config: Row, walks: Sequence[Row], left_out: Sequence[Row]) -> Iterator[str]:
     """Yield what is wrong with the number of walks of each episode: every wanted walk must be either made or recorded
-    as left out. An oracle walk has the images of the gold walk; if the gold walk is left out, so is the oracle walk.
+    as left out. An oracle walk has the images of the direct walk; if that one is left out, so is the oracle walk.
     """
     made = Counter((walk["episode_id"], walk["kind"]) for walk in walks)
     out = Counter((row["episode_id"], row["kind"]) for row in left_out)
-    kinds = {*config["walks"]} | ({"gold"} if "oracle" in config["walks"] else set())
+    kinds = {*config["walks"]} | ({"direct"} if "oracle" in config["walks"] else set())
     for episode in sorted(episodes):
         for kind in sorted(kinds):
             wanted = config["recoveries"] if kind == "recovery" else 1
-            here, without = made[episode, kind], out[episode, "gold" if kind == "oracle" else kind]
+            here, without = made[episode, kind], out[episode, "direct" if kind == "oracle" else kind]
             if here + without != wanted:
                 yield f"the {kind} walks of episode {episode}: {here} made and {without} left out, of {wanted}"
+
+
+def _said(
+    walk: Row,
+    words: Mapping[str, tuple[ActionSpace, list[int] | None]],
+    world: TrajectoryWorld,
+    space: ActionSpace,
+    proof: TrajectoryProof,
+) -> Iterator[str]:
+    """Yield the layouts whose words, as their agents mean them, do not lead along the walk to its goal.
+
+    words : by layout, the sizes of its actions, and the actions that the walk's samples say; None if there are no
+        samples, or if these can't be read, which is a fault already
+    """
+    episode = world.episodes.get(int(walk["episode_id"]))
+    if episode is None:
+        return
+    pathfinder = world.pathfinder(episode)
+    start, heading = episode.start_position, _heading(episode)
+    made = Follower(pathfinder, space).walk(start, heading, walk["executed"])
+    for layout, (meant, actions) in words.items():
+        if actions is None:
+            continue
+        replay = Follower(pathfinder, meant).walk(start, heading, actions)
+        proof.layout_walks[layout] = proof.layout_walks.get(layout, 0) + 1
+        left = float(pathfinder.distance_table(replay.positions[-1:], _goals(walk)).min())
+        if not left <= episode.success_distance or actions[-1:] != [STOP]:
+            yield (
+                f"{layout}: its words lead to {left:.2f} m from the goal, since the agent that reads them takes steps "
+                f"of {meant.forward:g} m and turns of {meant.turn:g}°"
+            )
+        elif not np.array_equal(replay.positions, made.positions) or not np.allclose(replay.headings, made.headings):
+            yield f"{layout}: its words lead along other poses than the walk's"
 
 
 class _Walk:
     """Compares the row of a walk with the walk's episode and with the walk's entry in ``annotations.json``."""
 
-    def __init__(self, walk: Row, entry: Row | None, world: TrajectoryWorld) -> None:
-        self._walk, self._entry, self._world = walk, entry, world
+    def __init__(self, walk: Row, entry: Row | None, world: TrajectoryWorld, space: ActionSpace) -> None:
+        self._walk, self._entry, self._world, self._space = walk, entry, world, space
 
     def faults(self, owners: Mapping[str, Row]) -> Iterator[str]:
         walk, entry = self._walk, self._entry
@@ -163,21 +207,26 @@ class _Walk:
         if episode is None:
             yield f"the export has no episode {walk['episode_id']}"
             return
-        if walk["instruction_text"] != self._world.text(episode, walk["kind"]):
-            yield "the instruction is not the episode's"
         gold = next(leaf for leaf in episode.leaves if leaf.leaf == episode.gold_leaf)
-        if [_point(goal).tolist() for goal in walk["goals"]] != [list(map(float, goal)) for goal in gold.goals]:
-            yield "the goals are not the episode's"
-        if walk["success_distance"] != episode.success_distance:
-            yield "the success distance is not the episode's"
-        if walk["max_steps"] != episode.max_steps:
-            yield "the number of allowed actions is not the episode's"
-        if [walk["start_rotation"][axis] for axis in "xyzw"] != [*map(float, episode.start_rotation)]:
-            yield "the start rotation is not the episode's"
-        if (walk["navmesh"], walk["navmesh_sha256"]) != (episode.navmesh, episode.navmesh_sha256):
-            yield "the navmesh is not the episode's"
-        if walk["scene_id"] != episode.scene_id:
-            yield "the scene is not the episode's"
+        claimed = {
+            "instruction is": (walk["instruction_text"], self._world.text(episode, walk["kind"])),
+            "goals are": (
+                [_point(goal).tolist() for goal in walk["goals"]],
+                [list(map(float, goal)) for goal in gold.goals],
+            ),
+            "success distance is": (walk["success_distance"], episode.success_distance),
+            "number of allowed actions is": (walk["max_steps"], episode.max_steps),
+            "start rotation is": (
+                [walk["start_rotation"][axis] for axis in "xyzw"],
+                [*map(float, episode.start_rotation)],
+            ),
+            "navmesh is": (
+                (walk["navmesh"], walk["navmesh_sha256"]),
+                (episode.navmesh, episode.navmesh_sha256),
+            ),
+            "scene is": (walk["scene_id"], episode.scene_id),
+        }
+        yield from (f"the {what} not the episode's" for what, (own, its) in claimed.items() if own != its)
         owner = owners.get(walk["frames_of"])
         if owner is None:
             yield f"the images of {walk['frames_of']} are not there"
@@ -219,7 +268,8 @@ class _Walk:
 
     def _replayed(self, episode: ManifestEpisode) -> Iterator[str]:
         pathfinder = self._world.pathfinder(episode)
-        walk = Follower(pathfinder).walk(episode.start_position, _heading(episode), self._walk["executed"])
+        follower = Follower(pathfinder, self._space)
+        walk = follower.walk(episode.start_position, _heading(episode), self._walk["executed"])
         left = float(pathfinder.distance_table(walk.positions[-1:], _goals(self._walk)).min())
         if not left <= episode.success_distance:
             yield f"the walk ends {left:.2f} m from the goal; it may end {episode.success_distance:g} m from it"
@@ -240,9 +290,10 @@ class _Frames:
         cameras: Mapping[str, CameraConfig],
         images: Row,
         world: TrajectoryWorld,
+        space: ActionSpace,
     ) -> None:
         self._folder, self._walk, self._rows, self._cameras = folder, walk, rows, cameras
-        self._images, self._world = images, world
+        self._images, self._world, self._space = images, world, space
 
     def faults(self, proof: TrajectoryProof) -> Iterator[str]:
         walk = self._walk
@@ -261,13 +312,11 @@ class _Frames:
         if episode is None:
             return
         pathfinder = self._world.pathfinder(episode)
-        replay = Follower(pathfinder).walk(episode.start_position, _heading(episode), walk["executed"])
+        replay = Follower(pathfinder, self._space).walk(episode.start_position, _heading(episode), walk["executed"])
         places = replay.positions[:count].astype(np.float64)
         distances = pathfinder.distance_table(replay.positions[:count], _goals(walk)).min(axis=1)
         leaves = {leaf.leaf for leaf in episode.leaves}
         yield from self._decisions(episode)
-        if walk["kind"] == "exploration":
-            yield from self._evidence(episode, places, replay.headings[:count], proof)
         found: set[str] = set()
         for row in self._rows:
             frame = row["frame"]
@@ -287,38 +336,25 @@ class _Frames:
                 yield f"{here.relative_to(self._folder)}: the files are not the walk's frames"
 
     def _decisions(self, episode: ManifestEpisode) -> Iterator[str]:
-        """Yield what is wrong with the order in which the walk looks for evidence and decides. Only an exploration walk
-        looks for evidence: first for the conditions of the gold route, in the order of the route; after that it walks
-        to the gold leaf.
+        """Yield what is wrong with the leaf that the walk is for, and with what it looks for. Only a looking walk looks
+        for evidence: at each frame for the first condition of the gold route that is not decided by then. It has no
+        leaf until all are. That its decisions are justified is proven with the export.
         """
         frames = {row["frame"]: (row["leaf"], row["looks_for"]) for row in self._rows}
         if len({(row["frame"], row["leaf"], row["looks_for"]) for row in self._rows}) != len(frames):
             yield "the cameras of a frame disagree on the leaf, or on what is looked for"
-        order = [frames[frame] for frame in sorted(frames)]
-        looked = [number for _, number in order if number is not None]
-        if self._walk["kind"] != "exploration":
-            if looked:
-                yield "a walk that is not an exploration looks for evidence"
+        if self._walk["kind"] != "looking":
+            if any(number is not None for _, number in frames.values()):
+                yield "a walk that does not look first looks for evidence"
             return
-        asked = [*dict.fromkeys(episode.program.route()[0])]
-        if order != [(-1, number) for number in looked] + [(episode.gold_leaf, None)] * (len(order) - len(looked)):
-            yield "the walk does not look first and walk to the gold leaf then"
-        elif [number for number in asked if number in looked] != [*dict.fromkeys(looked)] or any(
-            one > other for one, other in pairwise(map(asked.index, looked))
-        ):
-            yield "the conditions are not looked for in the order of the gold route"
-        if self._walk["n_frames"] > episode.max_steps:
-            yield f"the walk takes more actions than the episode allows: {episode.max_steps}"
-
-    def _evidence(self, episode: ManifestEpisode, places: F64, headings: F64, proof: TrajectoryProof) -> Iterator[str]:
-        """Yield the conditions of the gold route that the walk decides before it has seen their evidence. The frame to
-        which the last action of looking leads is the first one of the way to the leaf.
-        """
-        proof.looked_for += len(set(episode.program.route()[0]))
-        looked = len({row["frame"] for row in self._rows if row["looks_for"] is not None}) + 1
-        onlooker, angle = self._world.onlooker(episode), self._images["look_angle"]
-        for number in onlooker.unseen(episode, places[:looked], headings[:looked], angle):
-            yield f"condition {number} is decided before its evidence is seen"
+        asked = [*zip(dict.fromkeys(episode.program.route()[0]), episode.looking_decided or (), strict=True)]
+        for frame, told in sorted(frames.items()):
+            open_ones = (number for number, decided in asked if decided > frame)
+            number = next(open_ones, None)
+            if told != ((episode.gold_leaf if number is None else -1), number):
+                yield f"frame {frame}: the walk looks for another condition, or is for another leaf"
+        if self._walk["actions"] != [*(episode.looking_actions or ())]:
+            yield "the actions are not the episode's"
 
     def _pose(self, row: Row, place: F64, heading: float, leaves: set[int]) -> Iterator[str]:
         frame = row["frame"]
@@ -353,7 +389,7 @@ class _Frames:
         data = (
             jpeg(frame.rgb, self._images["jpeg_quality"])
             if suffix == "jpg"
-            else png16(frame.depth, min(self._images["png_level"], MOST_PNG_LEVEL))
+            else png16(frame.depth, self._images["png_level"])
         )
         other = "the pose shows another image"
         if same_encoder and hashlib.sha256(data).hexdigest() != row["sha256"]:

@@ -42,6 +42,8 @@ _OBJAVERSE: Final = "obja "
 Bounds: TypeAlias = Mapping[str, float]
 """Bounds of a box, by the names of the columns of ``sizes.csv``; "upright" is the least ratio of height and length."""
 
+SMALL: Final = (0.2, 0.12, "")
+"""Sides in metres of an object of which nothing is known, and that it does not lie flat."""
 _UNBOUNDED: Final = {"least": "0", "most": "inf", "thickness": "inf", "low": "0", "high": "inf", "ratio": "inf"}
 """The bounds of empty cells."""
 
@@ -94,6 +96,7 @@ class Words:
     frames: frozenset[str]
     roles: Mapping[str, frozenset[str]]
     fixtures: Mapping[str, Mapping[str, bool]]
+    _usual: Mapping[str, tuple[float, float, str]]
     sizes: Mapping[str, Bounds]
     _called: Mapping[str, tuple[tuple[str, bool], ...]]
     _labels: Mapping[tuple[str, str], str]
@@ -128,6 +131,12 @@ class Words:
         if side is not None:
             found = frozenset(one for one in found if self.objects[one][0] <= side <= self.objects[one][1])
         return found, ANY in written
+
+    def usual(self, label: str) -> tuple[float, float, str]:
+        """Return the longer and the shorter side in metres of what one sees of a usual object with a label, and on what
+        it lies flat, if it does ("floor" or "table"); those of a small one if nothing is known of the label.
+        """
+        return self._usual.get(label, SMALL)
 
     def also_called(self, label: str, *, low: bool) -> frozenset[str]:
         """Return the other labels that some people would use for an object with this label.
@@ -207,6 +216,7 @@ def words() -> Words:
         roles=_roles(),
         fixtures=_fixtures(),
         _called=_called(),
+        _usual={x["label"]: (float(x["long"]), float(x["short"]), x["flat"]) for x in _rows("usual.csv")},
         sizes={row["label"]: _bounds(row) for row in _rows("sizes.csv")},
         _labels=_raw_table("raw_labels.csv"),
         _room_types=_raw_table("raw_rooms.csv"),

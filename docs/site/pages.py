@@ -130,15 +130,6 @@ def generated() -> dict[str, tuple[str, str]]:
 # ---- called by mkdocs
 
 
-def on_config(config: Any) -> Any:
-    """Add each decision to the navigation."""
-    for section in config.nav:
-        for name, pages in section.items():
-            if name == "Design":
-                pages += [{title: page} for title, page in decisions()]
-    return config
-
-
 def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are made of files outside ``docs/``."""
     from mkdocs.structure.files import File

@@ -78,13 +78,15 @@ def figure() -> str:
         f'<rect x="{LEFT - 25}" y="125" width="{across + 50}" height="165" rx="10" '
         'fill="none" stroke="#90a4ae" stroke-dasharray="3 3"/>'
     )
-    parts.append(label(LEFT + across, 118, "one scene = one unit, one Ray task; each stage is kept under a key", "end"))
+    parts.append(
+        label(LEFT + across, 118, "each scene is worked on in a Ray task; each stage is kept under a key", "end")
+    )
     for at, stage in enumerate(pipeline.stages):
         x = column[stage.name]
         parts.append(box(x, 140, BOX, 64, [stage.name, *WORK[stage.name]], "#e0f2f1"))
         if at:
             parts.append(arrow((x - GAP, 172), (x - 2, 172)))
-        tables = [name for name, spec in pipeline.tables.items() if stage.name in spec.stages]
+        tables = [name for name in pipeline.tables if name in stage.tables]
         for number, name in enumerate(tables):
             parts.append(label(x + BOX / 2, 236 + 17 * number, name))
         if tables:

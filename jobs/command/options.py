@@ -11,10 +11,13 @@ __all__ = [
     "EXIT_CODES",
     "AsJson",
     "ConfigPath",
+    "Datasets",
     "ExportPath",
+    "ForwardStep",
     "Graphs",
     "Inline",
-    "NavmeshRoots",
+    "Keys",
+    "LookerKeys",
     "Overrides",
     "RefName",
     "RenewPriors",
@@ -25,8 +28,15 @@ __all__ = [
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="YAML configuration of the run")]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="A.B=C", help="override one key; may be repeated")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        "--data",
+        metavar="A.B=C|FAMILY=DIR",
+        help="override one key, or name the folder where a family's scenes lie; may be repeated",
+    ),
 ]
+Keys = Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="override one key; may be repeated")]
 TargetName = Annotated[
     str, typer.Argument(metavar="CONFIG|STORE", help="YAML configuration, or a store: its folder or s3://…")
 ]
@@ -41,13 +51,33 @@ RenewPriors = Annotated[bool, typer.Option("--priors", help="renew the label pri
 
 ExportPath = Annotated[Path, typer.Argument(metavar="EXPORT", help="folder of an export")]
 SplitName = Annotated[str, typer.Argument(metavar="SPLIT", help="train, val_seen, val_unseen or test")]
-NavmeshRoots = Annotated[
-    list[Path] | None,
-    typer.Option("--navmesh-root", help="dataset folder with the navmeshes that the export does not ship"),
+ForwardStep = Annotated[
+    float | None,
+    typer.Option(
+        "--forward-step",
+        metavar="METRES",
+        help="length of the agents' action forward; by default that of the export's configuration for VLN-CE, 0.25",
+    ),
 ]
 Graphs = Annotated[
     list[Path] | None,
     typer.Option("--connectivity", help="folder of <scan>_connectivity.json files, for discrete R2R"),
+]
+
+Datasets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--data",
+        metavar="[FAMILY=]DIR",
+        help="dataset in which agents see the scenes, or what they saw is checked; a folder without its family gives "
+        "navmeshes alone; may be repeated; by default as noted beside the export where it was made",
+    ),
+]
+LookerKeys = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--looker", metavar="KEY=VALUE", help="set a key of looker, such as noise.missed=0.1; may be repeated"
+    ),
 ]
 
 EXIT_CODES: Final = (

@@ -5,11 +5,8 @@ here is only what it reads, what it is keyed on, and where its rows go. A change
 for equal inputs must raise its ``version``; a golden test holds that.
 """
 
-from jobs.stages.counts import CountStage, PriorsAggregate
-from jobs.stages.episodes import EpisodeStage
-from jobs.stages.scene import RelationStage, SceneStage
-from jobs.stages.text import TextStage
-from jobs.stages.visibility import VisibilityStage
+from jobs.stages.episodes import EpisodeStage, TextStage
+from jobs.stages.scene import CountStage, PriorsAggregate, RelationStage, SceneStage, VisibilityStage
 
 __all__ = [
     "CountStage",

@@ -1,6 +1,4 @@
-"""Stage ``episodes``: draws candidate programs and places them on the navmesh until each cell has what is wanted, and
-finds what is visible on the way.
-"""
+"""The stages that make episodes: programs drawn and placed, then their words."""
 
 from __future__ import annotations
 
@@ -9,20 +7,24 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from condvln.collector import no_collection
-from condvln.episodes.candidates import unplaced_programs, unplaced_table
+from condvln.episodes.candidates import DRAWING, PLACING, unplaced_programs, unplaced_table
 from condvln.episodes.pool import EpisodePool
-from condvln.episodes.rules import DRAWING, PLACING
-from condvln.episodes.steps import Rejections, draw_programs, place_programs
-from condvln.episodes.table import PLACEMENTS, funnel_table, placements_table, rejections_table
+from condvln.episodes.steps import Rejections, draw_programs, place_programs, published_texts
+from condvln.episodes.table import (
+    PLACEMENTS,
+    funnel_table,
+    placements_table,
+    rejections_table,
+    with_text,
+)
 from condvln.episodes.visibility import sightings_from_table
-from condvln.instructions import PriorBits, instruction_table
+from condvln.instructions import PriorBits, instruction_table, instructions_with_text
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.relations import TextFacts
 from condvln.scene import Scene
-from factory.stage import Stage, StageOutput
-from factory.unit import Unit
+from factory.stage import Stage, StageOutput, Unit
 from jobs.stages.inputs import (
     Tables,
     asked_of,
@@ -30,11 +32,11 @@ from jobs.stages.inputs import (
     dump,
     facts_of,
     keep_programs,
+    programs_of,
     scene_of,
     source_of,
     walkable_of,
 )
-from jobs.stages.text import TextStage
 from schemas.canonical import JSON
 from schemas.config import (
     EpisodeConfig,
@@ -42,11 +44,57 @@ from schemas.config import (
     InstructionsConfig,
     PlacesConfig,
     SamplingConfig,
+    StepBudget,
+    TextConfig,
     Thresholds,
+    WordingConfig,
 )
 from schemas.program import Program
 
-__all__ = ["EpisodeStage"]
+__all__ = ["EpisodeStage", "TextStage"]
+
+
+@dataclass
+class TextStage(Stage):
+    """Placed programs → instructions and episodes with their text, as they are published."""
+
+    text: TextConfig
+    wording: WordingConfig
+    max_steps: StepBudget
+    seed: int
+    name: str = "text"
+    version: int = 30
+    tables: tuple[str, ...] = ("instructions", "episodes")
+    reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
+
+    @cached_property
+    def _parameters(self) -> JSON:
+        """What `parameters` returns: one object for all units, whose hash is cached."""
+        return {
+            "text": dump(self.text),
+            "instructions": dump(self.wording),
+            "episodes": {"max_steps": self.max_steps},
+            "seed": self.seed,
+        }
+
+    def parameters(self, unit: Unit) -> JSON:
+        return self._parameters
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        placements, table = upstream["placements"], upstream["programs"]
+        wanted = [*placements["instruction_id"].chunks, *upstream["unplaced"]["instruction_id"].chunks]
+        names = pa.chunked_array(wanted, pa.string())
+        programs = programs_of(table, names)
+        groups = dict(zip(*(placements[c].to_pylist() for c in ("instruction_id", "group_id")), strict=True))
+        rows = placements.select(["episode_id", "instruction_id", "start_heading_degrees"]).to_pylist()
+        bodies, texts = published_texts(programs, rows, self.text, self.wording, self.seed)
+        published = table.filter(pc.is_in(table["instruction_id"], value_set=names))
+        return StageOutput(
+            tables={
+                "instructions": instructions_with_text(published, bodies, groups),
+                "episodes": with_text(placements, texts, self.max_steps, self.text.steps_per_word),
+            }
+        )
 
 
 @dataclass
@@ -66,7 +114,7 @@ class EpisodeStage(Stage):
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 25
+    version: int = 34
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
@@ -100,33 +148,32 @@ class EpisodeStage(Stage):
         return dict(self._bits(scene_of(unit, upstream), shared).document())
 
     def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
-        return bits_of(scene, shared["priors"], self.sampling, self.instructions.directions)
+        return bits_of(scene, shared["priors"], self.sampling, self.instructions.directions, self.places)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
         facts, bits = facts_of(scene, upstream["relations"], self.thresholds), self._bits(scene, shared)
-        with no_collection():  # programs are trees; collecting garbage among them takes a tenth of this stage
-            if scene.navmesh is None:
-                return self._without_navmesh(unit, scene, facts, bits, upstream)
-            walkable = walkable_of(unit, scene, upstream, self.max_climb)
-            assert walkable is not None
-            placed = place_programs(
-                scene,
-                facts,
-                bits,
-                walkable,
-                sightings_from_table(upstream["visibility"]),
-                instructions=self.instructions,
-                sampling=self.sampling,
-                places=self.places,
-                goals=self.goals,
-                rules=self.rules,
-                thresholds=self.thresholds,
-                preamble=self.preamble,
-                seed=self.seed,
-            )
-            programs = {episode.instruction_id: episode.program for episode in placed.pool.episodes}
-            return self._output(scene, programs, placed.pool, placed.rejections)
+        if scene.navmesh is None:
+            return self._without_navmesh(unit, scene, facts, bits, upstream)
+        walkable = walkable_of(unit, scene, upstream, self.max_climb)
+        assert walkable is not None
+        placed = place_programs(
+            scene,
+            facts,
+            bits,
+            walkable,
+            sightings_from_table(upstream["visibility"]),
+            instructions=self.instructions,
+            sampling=self.sampling,
+            places=self.places,
+            goals=self.goals,
+            rules=self.rules,
+            thresholds=self.thresholds,
+            preamble=self.preamble,
+            seed=self.seed,
+        )
+        programs = {episode.instruction_id: episode.program for episode in placed.pool.episodes}
+        return self._output(scene, programs, placed.pool, placed.rejections)
 
     def _without_navmesh(
         self, unit: Unit, scene: Scene, facts: Mapping[str, TextFacts], bits: PriorBits, upstream: Tables
@@ -150,7 +197,7 @@ class EpisodeStage(Stage):
         pool = EpisodePool()
         for candidate in drawn.candidates:
             pool.candidates[candidate.cell] += 1
-            pool.reject(candidate.cell, "no_navmesh", candidate.made)
+            pool.reject(candidate.cell, "no_navmesh", candidate)
         wanted = set(unplaced_programs(drawn.candidates))
         programs = {one.instruction_id: one.program for one in drawn.candidates if one.instruction_id in wanted}
         return self._output(scene, programs, pool, drawn.rejections)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -19,13 +19,13 @@ from condvln.relations import RoomRelations, TextFacts, text_facts
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from condvln.sources.registry import open_source
-from condvln.sources.scene_source import Absence
 from condvln.sources.source import Source
-from factory.unit import Unit
+from factory.stage import Unit
 from schemas.canonical import JSON
 from schemas.config import (
     InstructionsConfig,
     LimitsConfig,
+    PlacesConfig,
     SamplingConfig,
     Section,
     Thresholds,
@@ -65,39 +65,19 @@ def navmeshes_table(scene_id: str, data: bytes | None) -> pa.Table:
 DEFAULT_LIMITS: Final = LimitsConfig()
 
 
+OPENED_BY: Final = ("family", "root", "navmesh", "regions", "houses", "connectivity", "absence")
+"""Keys of a unit's payload that say how its dataset is opened."""
+
+
 @lru_cache(maxsize=8)
-def _source(
-    family: str,
-    root: str,
-    regions: str | None,
-    houses: str | None,
-    navmesh: str | None,
-    graphs: str | None,
-    absence: Absence,
-    limits: LimitsConfig,
-) -> Source:
+def _source(limits: LimitsConfig, *named: tuple[str, Any]) -> Source:
     """Return the reader of a dataset, one per process, so that shared files are read once."""
-    side, house_folder = (None if path is None else Path(path) for path in (regions, houses))
-    return open_source(
-        family,
-        root,
-        navmesh=navmesh,
-        regions=side,
-        houses=house_folder,
-        absence=absence,
-        connectivity=graphs,
-        limits=limits,
-    )
+    return open_source(**dict(named), limits=limits)
 
 
 def source_of(unit: Unit, limits: LimitsConfig = DEFAULT_LIMITS) -> Source:
     """Return the reader of a unit's dataset. Only readers of whole scenes get the size limits."""
-    keys = ("regions", "houses", "navmesh", "connectivity")
-    regions, houses, navmesh, graphs = (None if value is None else str(value) for value in map(unit.payload.get, keys))
-    absence: Absence = "never" if unit.payload.get("absence") == "never" else "complete"
-    return _source(
-        str(unit.payload["family"]), str(unit.payload["root"]), regions, houses, navmesh, graphs, absence, limits
-    )
+    return _source(limits, *((name, unit.payload[name]) for name in OPENED_BY if name in unit.payload))
 
 
 V = TypeVar("V")
@@ -192,16 +172,17 @@ def facts_of(scene: Scene, relations: pa.Table, thresholds: Thresholds) -> Mappi
     return _facts.get((scene, relations, thresholds), read)
 
 
-def bits_of(scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions: str) -> PriorBits:
+def bits_of(
+    scene: Scene, priors: pa.Table, sampling: SamplingConfig, directions: str, places: PlacesConfig
+) -> PriorBits:
     """Return the bits of the priors that a scene reads: the stage's key needs them, and then the stage itself."""
 
     def read() -> PriorBits:
         counts = _priors.get((priors,), lambda: LabelPriors.from_table(priors))
-        return counts.bits(
-            scene, sampling.plausible_share, sampling.predicates, directions, sampling.label_only(scene.single_room)
-        )
+        asked = sampling.label_only(scene.single_room)
+        return counts.bits(scene, sampling.plausible_share, sampling.predicates, directions, asked, places)
 
-    return _bits.get((scene, priors, sampling, directions), read)
+    return _bits.get((scene, priors, sampling, directions, places), read)
 
 
 def keep_programs(table: pa.Table, programs: Mapping[str, Program]) -> None:

@@ -1,25 +1,37 @@
-"""Stages ``scene`` and ``relations``: tables of a scene from its native files, and relations of its objects."""
+"""The stages that read a scene: rooms and objects, relations, counts of statements and the priors that sum them,
+and what can be seen.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
+import pyarrow as pa
+
+from condvln.episodes.steps import look_around
+from condvln.episodes.visibility import visibility_table
+from condvln.instructions import LabelPriors
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
+from condvln.navigation.sight import Recognition
 from condvln.relations import relate_scene, relation_table, text_facts
 from condvln.scene.meshes import shared_library
 from condvln.scene.tables import scene_tables
-from factory.stage import Stage, StageOutput
-from factory.unit import Unit
-from jobs.stages.inputs import Tables, dump, keep_facts, navmeshes_table, scene_of, source_of
+from factory.stage import Aggregate, Stage, StageOutput, Unit
+from jobs.stages.inputs import Tables, dump, keep_facts, navmeshes_table, scene_of, source_of, walkable_of
 from schemas.canonical import JSON
 from schemas.config import (
     AgentConfig,
+    EpisodeConfig,
     LimitsConfig,
+    PlacesConfig,
+    SamplingConfig,
     Thresholds,
 )
 
-__all__ = ["RelationStage", "SceneStage"]
+__all__ = ["CountStage", "PriorsAggregate", "RelationStage", "SceneStage", "VisibilityStage"]
 
 
 @dataclass
@@ -33,7 +45,7 @@ class SceneStage(Stage):
     agent: AgentConfig
     limits: LimitsConfig
     name: str = "scene"
-    version: int = 11
+    version: int = 12
     tables: tuple[str, ...] = ("scenes", "rooms", "objects", "navmeshes")
     reads_inputs: bool = True
 
@@ -90,3 +102,100 @@ class RelationStage(Stage):
         table = relation_table(scene, relations, self.thresholds, facts)
         keep_facts(scene, table, self.thresholds, facts)
         return StageOutput(tables={"relations": table})
+
+
+COUNTING: Final = 18
+"""Version of how statements are counted, in a scene and over all scenes."""
+
+
+@dataclass
+class CountStage(Stage):
+    """Rooms and objects → for each type of room, how many rooms of the scene hold a label, and how often a statement
+    (such as "a pillow near the bed") is true. Workers count; the driver only adds.
+    """
+
+    thresholds: Thresholds
+    anchor_size: float
+    name: str = "counts"
+    version: int = COUNTING
+    tables: tuple[str, ...] = ("counts",)
+    reads: tuple[str, ...] | None = ("rooms", "objects")
+
+    @cached_property
+    def _parameters(self) -> JSON:
+        """What `parameters` returns: one object for all units, whose hash is cached."""
+        return {"thresholds": dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
+
+    def parameters(self, unit: Unit) -> JSON:
+        return self._parameters
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        found = LabelPriors.of_tables(upstream["rooms"], upstream["objects"], self.thresholds, self.anchor_size)
+        return StageOutput(tables={"counts": found.rows()})
+
+
+@dataclass
+class PriorsAggregate(Aggregate):
+    """Sums of what is counted in each scene, over all scenes of all sources, and the weights of statements that these
+    make even.
+    """
+
+    thresholds: Thresholds
+    sampling: SamplingConfig
+    directions: str
+    places: PlacesConfig
+    name: str = "priors"
+    version: int = COUNTING + 2
+    after: str = "counts"
+    tables: tuple[str, ...] = ("counts",)
+
+    def parameters(self) -> JSON:
+        sampling = dump(self.sampling)
+        read = {key: sampling[key] for key in ("anchor_size", "plausible_share", "presence_share", "predicates")}
+        places = dump(self.places)
+        return {
+            "thresholds": dump(self.thresholds),
+            "sampling": read,
+            "instructions": {"directions": self.directions},
+            "places": {key: places[key] for key in ("eye_height", "seen_degrees", "sight_range")},
+        }
+
+    def build(self, tables: Iterator[tuple[str, Tables]]) -> pa.Table:
+        scenes = ((unit.partition("/")[0], LabelPriors.from_table(one["counts"])) for unit, one in tables)
+        return LabelPriors.of_corpus(scenes, self.sampling, self.directions, self.places).table()
+
+
+@dataclass
+class VisibilityStage(Stage):
+    """Rooms, objects, navmesh and surfaces → which objects can be seen. In a scene without a navmesh, the values are
+    null.
+    """
+
+    places: PlacesConfig
+    object_seen: float
+    max_climb: float
+    name: str = "visibility"
+    version: int = 4
+    tables: tuple[str, ...] = ("visibility",)
+    reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes")
+    reads_inputs: bool = True
+
+    def parameters(self, unit: Unit) -> JSON:
+        places = dump(self.places)
+        return {
+            "places": {key: places[key] for key in ("eye_height", "island_radius", "seen_degrees", "sight_range")},
+            "episodes": {"object_seen": self.object_seen},
+            "agent": {"max_climb": self.max_climb},
+        }
+
+    def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
+        scene = scene_of(unit, upstream)
+        walkable = walkable_of(unit, scene, upstream, self.max_climb)
+        if walkable is None:
+            return StageOutput(tables={"visibility": visibility_table(scene, None)})
+        recognition = Recognition.of(self.places, EpisodeConfig(object_seen=self.object_seen))
+        found = look_around(scene, walkable, self.places, recognition)
+        return StageOutput(
+            tables={"visibility": visibility_table(scene, found)},
+            measures={"objects": float(len(found)), "unseen": float(sum(one.unseen for one in found))},
+        )

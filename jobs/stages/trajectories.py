@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -13,26 +12,29 @@ from typing import Any, Final
 import orjson
 import pyarrow as pa
 
-from condvln.episodes.view import SceneView
 from condvln.formats.image_files import encoders
 from condvln.manifest import manifest_lines
-from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.sensors import Renderer, open_renderer
 from condvln.sensors.assembly import OWNERS_BY_BOX
 from condvln.sensors.textures import decoders
-from condvln.trajectories.exploration import Explorer
 from condvln.trajectories.images import ImageWriter
 from condvln.trajectories.recipe import Recipe
-from condvln.trajectories.tables import WalkRows
-from condvln.trajectories.walks import LeftOut, gold_walk, heading_of, recovery_walks, repeats_of, twin_of
+from condvln.trajectories.walks import (
+    LeftOut,
+    WalkRows,
+    direct_walk,
+    looking_walk,
+    recovery_walks,
+    repeats_of,
+    twin_of,
+)
 from factory.rows import logical_hash
-from factory.stage import Stage, StageOutput
-from factory.unit import Unit
-from jobs.oracle import linear_text
+from factory.stage import Stage, StageOutput, Unit
+from jobs.oracle import twin_text
 from jobs.stages.inputs import Tables, dump, source_of
 from schemas.canonical import JSON, digest
-from schemas.config import CameraConfig, LimitsConfig, TrajectoryConfig, WordingConfig
-from schemas.errors import FormatError
+from schemas.config import CameraConfig, LimitsConfig, TrajectoryConfig
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["NOTES", "NO_IMAGES", "STAMP", "FrameStage", "RecipeStage", "WalkStage", "stamp_path"]
@@ -69,7 +71,7 @@ class WalkStage(Stage):
     texts: Mapping[str, Any] | None = None
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     name: str = "walks"
-    version: int = 3
+    version: int = 7
     tables: tuple[str, ...] = ("trajectories", "steps", "left_out")
     reads_inputs: bool = True
 
@@ -80,44 +82,32 @@ class WalkStage(Stage):
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         navmeshes = _navmeshes(tuple(str(root) for root in _list(unit, "roots")))
         rows = WalkRows(str(unit.payload["scene_id"]))
-        explorer = self._explorer(unit) if "exploration" in self.config.walks else None
+        kinds = {*self.config.walks}
+        scene = None
+        if kinds != {"looking"}:
+            scene = source_of(unit, self.limits).read(str(unit.payload["scene_id"]))
         for episode in _episodes(unit):
             pathfinder = navmeshes(episode)
-            gold = gold_walk(episode, pathfinder, self.config)
-            found = [gold] if "gold" in self.config.walks or "oracle" in self.config.walks else []
-            if "recovery" in self.config.walks:
-                found += recovery_walks(episode, pathfinder, self.config)
-            if explorer is not None:
-                found.append(explorer.walk(episode, pathfinder))
+            found = [looking_walk(episode, pathfinder, self.config)] if "looking" in kinds else []
+            direct = None
+            if scene is not None:
+                goal = scene.object_of[episode.program.leaves[episode.gold_leaf].goal.object_id].center
+                if kinds & {"direct", "oracle"}:
+                    direct = direct_walk(episode, pathfinder, self.config, goal)
+                    found.append(direct)
+                if "recovery" in kinds:
+                    found += recovery_walks(episode, pathfinder, self.config, goal)
             for walked in found:
                 if isinstance(walked, LeftOut):
                     rows.leave_out(episode, walked)
                     continue
                 repeats = repeats_of(walked, self.config)
                 rows.add(episode, walked, pathfinder, episode.instruction_text, repeats)
-            if "oracle" in self.config.walks and not isinstance(gold, LeftOut):
-                twin, repeats = twin_of(gold, episode), repeats_of(gold, self.config)
-                rows.add(episode, twin, pathfinder, self._twin(episode), repeats, gold.name)
+            if "oracle" in kinds and direct is not None and not isinstance(direct, LeftOut):
+                twin, repeats = twin_of(direct, episode), repeats_of(direct, self.config)
+                rows.add(episode, twin, pathfinder, twin_text(episode, self.texts or {}), repeats, direct.name)
         tables = rows.tables()
         return StageOutput(tables=tables, measures={"frames": float(tables["steps"].num_rows)})
-
-    def _explorer(self, unit: Unit) -> Explorer:
-        source = source_of(unit, self.limits)
-        scene = source.read(str(unit.payload["scene_id"]))
-        return Explorer(scene, SceneView(scene, source.geometry(scene)), self.config)
-
-    def _twin(self, episode: ManifestEpisode) -> str:
-        texts = self.texts or {}
-        wording = WordingConfig.model_validate({k: v for k, v in texts.items() if k in WordingConfig.model_fields})
-        heading = -math.degrees(heading_of(episode.start_rotation)) % 360.0
-        return linear_text(
-            episode.program,
-            episode.instruction_id,
-            heading,
-            wording,
-            seed=int(texts.get("seed", 0)),
-            preamble=bool(texts.get("preamble", True)),
-        )
 
 
 @dataclass
@@ -129,7 +119,7 @@ class RecipeStage(Stage):
 
     folder: Path
     name: str = "walks"
-    version: int = 1
+    version: int = 2
     tables: tuple[str, ...] = ("trajectories", "steps", "left_out")
     reads_inputs: bool = True
 
@@ -215,16 +205,5 @@ def _episodes(unit: Unit) -> Iterator[ManifestEpisode]:
     """Yield the episodes of a unit, sorted by id."""
     path = Path(str(unit.payload["manifest"]))
     wanted = {int(str(number)) for number in _list(unit, "lines")}
-    found = []
-    for line in manifest_lines(path):
-        if line.number in wanted:
-            row = line.row()
-            if not str(row.episode_id).isdigit():
-                raise FormatError(
-                    f"the id {row.episode_id!r} is not an integer, as loaders need it",
-                    where=path,
-                    place=f"line {line.number}: episode_id",
-                    remedy="Export the split again",
-                )
-            found.append(row)
-    return iter(sorted(found, key=lambda row: int(row.episode_id)))
+    found = (line.row() for line in manifest_lines(path) if line.number in wanted)
+    return iter(sorted(found, key=lambda row: row.episode_id))

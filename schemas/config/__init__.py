@@ -4,7 +4,16 @@ The science takes these sections as its parameters: there is no second set of de
 several read whole, so that a changed key makes stale what reads it and nothing else (``docs/configuration.md``).
 """
 
-from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig, StepBudget
+from schemas.base import Section
+from schemas.config.episodes import (
+    AgentConfig,
+    EpisodeConfig,
+    GoalsConfig,
+    LookingDetour,
+    PlacesConfig,
+    SeenDegrees,
+    StepBudget,
+)
 from schemas.config.instructions import (
     CompositionWeights,
     InstructionCell,
@@ -17,8 +26,6 @@ from schemas.config.instructions import (
 )
 from schemas.config.relations import SECTOR_HALF_WIDTH, Thresholds
 from schemas.config.run import (
-    MOVED,
-    REMOVED,
     Config,
     Family,
     KeepConfig,
@@ -27,13 +34,10 @@ from schemas.config.run import (
     SourceConfig,
     SplitsConfig,
 )
-from schemas.config.section import Section
 from schemas.config.sensors import CameraConfig, LookerConfig, NoiseConfig
 from schemas.config.trajectories import TrajectoryConfig, WalkKind
 
 __all__ = [
-    "MOVED",
-    "REMOVED",
     "SECTOR_HALF_WIDTH",
     "AgentConfig",
     "CameraConfig",
@@ -47,12 +51,14 @@ __all__ = [
     "KeepConfig",
     "LimitsConfig",
     "LookerConfig",
+    "LookingDetour",
     "NoiseConfig",
     "PlacesConfig",
     "PredicateWeights",
     "RayConfig",
     "SamplingConfig",
     "Section",
+    "SeenDegrees",
     "SourceConfig",
     "SplitsConfig",
     "StepBudget",

@@ -5,9 +5,11 @@ A change here changes rows: raise the versions of the stages that read the numbe
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 __all__ = [
+    "ABSENCE_METRES",
     "BORDER_SHARE",
     "COUNTER_HEIGHT",
     "COUNTER_LENGTH",
@@ -22,7 +24,6 @@ __all__ = [
     "FALLEN_SUNK",
     "FAR_RING_GAP",
     "FEW_LABELS_SLACK",
-    "FIRST_VIEW_DEGREES",
     "FLOOR_LEAST_SPACING",
     "FLOOR_LIFT",
     "FLOOR_POINTS",
@@ -38,9 +39,9 @@ __all__ = [
     "KEPT_AT_LEAST",
     "LANDMARK_SIZE",
     "LARGER_THAN_RECEPTACLE",
+    "LEVEL_CAMERA",
     "LIKE_HEIGHT",
     "LIKE_SIZE",
-    "LOW_EYE",
     "MOST_MOVES_OF_FOUR_LEAVES",
     "MOST_OBJECTS_PER_ROOM",
     "MOST_ROOMS",
@@ -60,6 +61,7 @@ __all__ = [
     "SEAT_LENGTH",
     "SEAT_LONGEST",
     "SEAT_RATIO",
+    "SEEABLE_IN_FRAME",
     "SEEABLE_PLACES",
     "SEEABLE_SHARE",
     "SIDE_TABLE_LENGTH",
@@ -68,6 +70,7 @@ __all__ = [
     "SNAP_TOLERANCE",
     "STAGINGS",
     "STEP_CEILING",
+    "TABLE_HEIGHT",
     "THIN_GAP",
     "THIN_SHARE",
     "TOP_DEPTH",
@@ -118,8 +121,9 @@ PREFIX_STRAY: Final = 0.25
 PREFIX_SAMPLES: Final = 0.05
 """Distance between the places at which paths are compared, metres."""
 
-FIRST_VIEW_DEGREES: Final = 90.0
-"""Horizontal and vertical field of view of the camera of VLN-CE's R2R task, degrees."""
+LEVEL_CAMERA: Final = (79.0, math.degrees(2 * math.atan(math.tan(math.radians(79.0 / 2)) * 480 / 640)))
+"""Horizontal and vertical field of view of the level camera of looking walks, degrees: a picture of 640 × 480, as
+StreamVLN and VLN-CE's recent agents have it."""
 
 FLOOR_POINTS: Final = 256
 """Approximate number of floor points of a room that are tested for visibility."""
@@ -130,12 +134,22 @@ FLOOR_LEAST_SPACING: Final = 0.2
 FLOOR_LIFT: Final = 0.05
 """Height of these points above the floor, metres, so that the floor's own surface does not hide them."""
 
+ABSENCE_METRES: Final = (1.0, 1.5, 2.5, 4.0, 6.0, 9.0, 15.0)
+"""Distances up to which a room's floor is looked at to know that something is absent, metres: the greatest one at which
+a usual object of the label is recognised. They are few, so that labels share them."""
+
+TABLE_HEIGHT: Final = 0.75
+"""Height above the floor at which a thing that usually lies on a table lies, metres."""
+
 SEEABLE_SHARE: Final = 1 / 16
 """Share of an object's surface that must be visible, from all places of its room together, before text uses the object.
 It is several times the share that the verifier requires at its own points, so that the two agree."""
 
 SEEABLE_PLACES: Final = 2
-"""Number of places from which some of the object must be visible."""
+"""Number of places from which the object must be recognised, and some of it visible."""
+
+SEEABLE_IN_FRAME: Final = 1 / 24
+"""Share of the positions in its room from which a level camera must recognise an object that text names."""
 
 FRAME_HEADROOM: Final = 0.5
 """Height above a shelf, a table or another frame up to which the frame's box does not hide a thing, metres."""
@@ -155,9 +169,6 @@ RING_GAP: Final = 0.125
 
 FAR_RING_GAP: Final = 0.2
 """Largest distance between two rings of candidates beyond reach, metres."""
-
-LOW_EYE: Final = 0.5
-"""Height of a second eye above the floor, metres, for objects under a table."""
 
 DRAWN_PER_PLACE: Final = 1.5
 """Number of candidates drawn at once for each episode that a cell lacks, since placing rejects some."""

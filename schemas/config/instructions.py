@@ -6,9 +6,8 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from schemas.base import Finite
+from schemas.base import Finite, Metres, Section, Share
 from schemas.config.constants import MOST_MOVES_OF_FOUR_LEAVES
-from schemas.config.section import Metres, Section, Share
 from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category
 
@@ -43,27 +42,20 @@ bound."""
 class InstructionCell(Section):
     """One cell: values of the axes, and the episodes wanted per scene. An axis that is not given may have any value."""
 
-    category: Category = Field(description="shape of the program")
-    composition: Composition | None = Field(None, description="composition: how many rooms the program spans")
-    observability: Literal["O0f", "O0", "O1", "O2"] | None = Field(
-        None, description="observability: where the evidence is visible; O0f is O0 with all evidence in the first view"
-    )
-    moves: int | None = Field(
-        None,
-        ge=1,
-        le=3,
-        description="number of moves of every leaf; it is the same for all leaves, so that it doesn't reveal "
-        "the gold leaf",
-    )
-    route: tuple[Finite, Finite] | None = Field(
-        None,
-        description="[minimum, maximum] length of the route through the stops to every leaf",
-        json_schema_extra={"unit": "m"},
-    )
-    words: tuple[int, int] | None = Field(
-        None, description="[minimum, maximum] number of words of the text, including the opening with the start heading"
-    )
-    count: int = Field(ge=1, le=10_000, description="number of episodes wanted per scene")
+    category: Category
+    """shape of the program"""
+    composition: Composition | None = None
+    """composition: how many rooms the program spans"""
+    observability: Literal["O0f", "O0", "O1", "O2"] | None = None
+    """observability: where the evidence is visible; O0f is O0 with all evidence in the first view"""
+    moves: int | None = Field(None, ge=1, le=3)
+    """number of moves of every leaf; it is the same for all leaves, so that it doesn't reveal the gold leaf"""
+    route: tuple[Finite, Finite] | None = Field(None, json_schema_extra={"unit": "m"})
+    """[minimum, maximum] length of the route through the stops to every leaf"""
+    words: tuple[int, int] | None = None
+    """[minimum, maximum] number of words of the text, including the opening with the start heading"""
+    count: int = Field(ge=1, le=10_000)
+    """number of episodes wanted per scene"""
 
     @field_validator("route", "words", mode="before")
     @classmethod
@@ -117,15 +109,12 @@ def _span(bounds: tuple[float, float]) -> str:
 class WordingConfig(Section):
     """Wording of programs. Only the text stage reads it, unless a cell bounds the number of words."""
 
-    language: Literal["en", "es"] = Field("en", description="language of the texts: English or Spanish")
-    voices: tuple[VoiceName, ...] = Field(
-        get_args(VoiceName), min_length=1, description="voices that texts are drawn from; each text has one voice"
-    )
-    length: Literal["any", "short"] = Field(
-        "any",
-        description="any: wordings are drawn from all templates of the voice; short: always from its "
-        "shortest templates",
-    )
+    language: Literal["en", "es"] = "en"
+    """language of the texts: English or Spanish"""
+    voices: tuple[VoiceName, ...] = Field(get_args(VoiceName), min_length=1)
+    """voices that texts are drawn from; each text has one voice"""
+    length: Literal["any", "short"] = "any"
+    """any: wordings are drawn from all templates of the voice; short: always from its shortest templates"""
 
     @model_validator(mode="after")
     def _voices_differ(self) -> WordingConfig:
@@ -143,34 +132,19 @@ class WordingConfig(Section):
 class InstructionsConfig(WordingConfig):
     """The instructions that are wanted of each scene, and their wording."""
 
-    directions: Literal["compass", "egocentric", "none"] = Field(
-        "compass",
-        description="directions that texts may use. compass: compass words, and such texts open with the "
-        "start heading; egocentric: left, right, ahead and behind as seen from the start; "
-        "none: no directions",
-    )
-    per_category: dict[Category, Wanted] = Field(
-        default_factory=lambda: dict.fromkeys(CATEGORIES, 20),
-        description="number of episodes wanted per scene, by category",
-    )
-    cells: tuple[InstructionCell, ...] = Field(
-        (),
-        description="cells, each with the number of episodes wanted; per_category is ignored for a category "
-        "that has cells here",
-    )
-    counterfactual_groups: int = Field(
-        2,
-        ge=0,
-        le=1000,
-        description="number of counterfactual groups wanted per scene, in addition to the episodes; a group "
-        "is four episodes with one start, in which the truth of a condition and the order of two "
-        "leaves vary",
-    )
-    label_cap: Share = Field(
-        0.15,
-        description="maximum share of a scene's leaves that have the same target label (where the scene has "
-        "few labels, an equal share for each label)",
-    )
+    directions: Literal["compass", "egocentric", "none"] = "compass"
+    """directions that texts may use. compass: compass words, and such texts open with the start heading; egocentric:
+    left, right, ahead and behind as seen from the start; none: no directions"""
+    per_category: dict[Category, Wanted] = Field(default_factory=lambda: dict.fromkeys(CATEGORIES, 20))
+    """number of episodes wanted per scene, by category"""
+    cells: tuple[InstructionCell, ...] = ()
+    """cells, each with the number of episodes wanted; per_category is ignored for a category that has cells here"""
+    counterfactual_groups: int = Field(2, ge=0, le=1000)
+    """number of counterfactual groups wanted per scene, in addition to the episodes; a group is four episodes with one
+    start, in which the truth of a condition and the order of two leaves vary"""
+    label_cap: Share = 0.15
+    """maximum share of a scene's leaves that have the same target label (where the scene has few labels, an equal share
+    for each label)"""
 
     @model_validator(mode="after")
     def _cells_differ(self) -> InstructionsConfig:
@@ -199,89 +173,76 @@ class InstructionsConfig(WordingConfig):
 class CompositionWeights(Section):
     """Weights of the compositions, used where the scene has enough rooms and the cell does not fix the composition."""
 
-    C0: Weight = Field(1.0, description="weight of C0: programs in one room")
-    C1: Weight = Field(1.0, description="weight of C1: programs in several rooms that are not C2")
-    C2: Weight = Field(1.0, description="weight of C2: programs with a branch over three rooms")
+    C0: Weight = 1.0
+    """weight of C0: programs in one room"""
+    C1: Weight = 1.0
+    """weight of C1: programs in several rooms that are not C2"""
+    C2: Weight = 1.0
+    """weight of C2: programs with a branch over three rooms"""
 
 
 class PredicateWeights(Section):
     """Weights of the groups of predicates; a group with weight 0 is used only where no other predicate can be used."""
 
     # What people say most comes first; heights are correct but stilted.
-    on: Weight = Field(0.20, description="weight of “on”")
-    under: Weight = Field(0.10, description="weight of “under”, which only distinguishes stops")
-    inside: Weight = Field(0.10, description="weight of “in”")
-    near: Weight = Field(0.40, description="weight of “near”")
-    vertical: Weight = Field(0.10, description="weight of “above” and “below”")
-    between: Weight = Field(0.15, description="weight of “between”")
-    closest: Weight = Field(0.20, description="weight of “closest to”, which only distinguishes stops")
-    compass: Weight = Field(0.25, description="weight of the eight compass words")
-    bearing: Weight = Field(
-        0.30, description="weight of “left”, “right”, “ahead” and “behind”, where directions are egocentric"
-    )
-    size: Weight = Field(0.20, description="weight of “the bigger” and “the smaller”, which only distinguish stops")
-    height: Weight = Field(0.05, description="weight of “higher than” and “lower than”")
-    far: Weight = Field(0.0, description="weight of “far from”")
+    on: Weight = 0.20
+    """weight of “on”"""
+    under: Weight = 0.10
+    """weight of “under”, which only distinguishes stops"""
+    inside: Weight = 0.10
+    """weight of “in”"""
+    near: Weight = 0.40
+    """weight of “near”"""
+    vertical: Weight = 0.10
+    """weight of “above” and “below”"""
+    between: Weight = 0.15
+    """weight of “between”"""
+    closest: Weight = 0.20
+    """weight of “closest to”, which only distinguishes stops"""
+    compass: Weight = 0.25
+    """weight of the eight compass words"""
+    bearing: Weight = 0.30
+    """weight of “left”, “right”, “ahead” and “behind”, where directions are egocentric"""
+    size: Weight = 0.20
+    """weight of “the bigger” and “the smaller”, which only distinguish stops"""
+    height: Weight = 0.05
+    """weight of “higher than” and “lower than”"""
+    far: Weight = 0.0
+    """weight of “far from”"""
 
 
 class SamplingConfig(Section):
     """How candidate programs are sampled."""
 
-    candidates_per_episode: int = Field(
-        5, ge=1, le=1000, description="number of candidates drawn for each episode wanted, since placing rejects some"
-    )
-    moves: tuple[Share, Share, Share] = Field(
-        (0.4, 0.4, 0.2),
-        description="shares of leaves with 1, with 2 and with 3 moves, in programs with two or three leaves",
-    )
-    moves_four_leaves: tuple[Share, Share] = Field(
-        (0.6, 0.4), description="shares of leaves with 1 and with 2 moves, in programs with four leaves"
-    )
-    moves_drawn: tuple[Share, Share, Share] = Field(
-        (0.27, 0.39, 0.34),
-        description="shares as in moves, but among drawn candidates: candidates with long routes are "
-        "rejected more often, so more of these are drawn than are wanted",
-    )
-    moves_drawn_four_leaves: tuple[Share, Share] = Field(
-        (0.5, 0.5), description="shares as in moves_four_leaves, but among drawn candidates"
-    )
-    presence_false_share: Share = Field(
-        0.2, description="maximum share of label-only conditions among the false conditions, where a scene is one room"
-    )
-    presence_share: Share = Field(0.4, description="share of label-only conditions in scenes of several rooms")
-    plausible_share: Share = Field(
-        0.05,
-        description="minimum share of the rooms of a type that must have an object of a label, for the label "
-        "to be plausible in this room type",
-    )
+    candidates_per_episode: int = Field(5, ge=1, le=1000)
+    """number of candidates drawn for each episode wanted, since placing rejects some"""
+    moves: tuple[Share, Share, Share] = (0.4, 0.4, 0.2)
+    """shares of leaves with 1, with 2 and with 3 moves, in programs with two or three leaves"""
+    moves_four_leaves: tuple[Share, Share] = (0.6, 0.4)
+    """shares of leaves with 1 and with 2 moves, in programs with four leaves"""
+    moves_drawn: tuple[Share, Share, Share] = (0.27, 0.39, 0.34)
+    """shares as in moves, but among drawn candidates: candidates with long routes are rejected more often, so more of
+    these are drawn than are wanted"""
+    moves_drawn_four_leaves: tuple[Share, Share] = (0.5, 0.5)
+    """shares as in moves_four_leaves, but among drawn candidates"""
+    presence_false_share: Share = 0.2
+    """maximum share of label-only conditions among the false conditions, where a scene is one room"""
+    presence_share: Share = 0.4
+    """share of label-only conditions in scenes of several rooms"""
+    plausible_share: Share = 0.05
+    """minimum share of the rooms of a type that must have an object of a label, for the label to be plausible in this
+    room type"""
     compositions: CompositionWeights = Field(default_factory=CompositionWeights)
     predicates: PredicateWeights = Field(default_factory=PredicateWeights)
-    anchor_size: Metres = Field(
-        0.3,
-        description="a movable object whose longest side is shorter than this is not used as an anchor and "
-        "does not name a room",
-    )
-    small_target_weight: Weight = Field(
-        0.25,
-        description="weight of a label as a target if the longest side of each object with this label "
-        "is shorter than anchor_size",
-    )
-    bearings: int = Field(
-        2,
-        ge=1,
-        le=4,
-        description="maximum number of phrases with bearings (left, right, ahead, behind) in a program; all of "
-        "them must hold at one start",
-    )
-    attempts: int = Field(
-        24, ge=1, le=10_000, description="maximum number of draws of a condition before the candidate is given up"
-    )
-    draws_per_candidate: int = Field(
-        20,
-        ge=1,
-        le=10_000,
-        description="maximum number of draws of whole candidates of one composition before the composition is given up",
-    )
+    anchor_size: Metres = 0.3
+    """a movable object whose longest side is shorter than this is not used as an anchor and does not name a room"""
+    bearings: int = Field(2, ge=1, le=4)
+    """maximum number of phrases with bearings (left, right, ahead, behind) in a program; all of them must hold at one
+    start"""
+    attempts: int = Field(24, ge=1, le=10_000)
+    """maximum number of draws of a condition before the candidate is given up"""
+    draws_per_candidate: int = Field(20, ge=1, le=10_000)
+    """maximum number of draws of whole candidates of one composition before the composition is given up"""
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> SamplingConfig:
@@ -320,10 +281,8 @@ class SamplingConfig(Section):
 class TextConfig(Section):
     """The opening of a text, and the step budget per word."""
 
-    preamble: bool = Field(True, description="begin each text that uses compass words with the start heading")
-    steps_per_word: int = Field(
-        20,
-        ge=1,
-        description="steps for each word of the text in a proportional step budget; the budget is never less than "
-        "twice the number of ground-truth actions",
-    )
+    preamble: bool = True
+    """begin each text that uses compass words with the start heading"""
+    steps_per_word: int = Field(20, ge=1)
+    """steps for each word of the text in a proportional step budget; the budget is never less than twice the number of
+    ground-truth actions"""

@@ -11,6 +11,7 @@ import pytest
 from selenium.webdriver.support.ui import Select
 
 from condvln.evaluation.render import as_document, as_markdown
+from condvln.evaluation.split import SplitOptions
 from jobs.evaluate import EvaluationReport, Question, evaluate_predictions
 from tests.browser.conftest import AGENTS, Run
 from tests.browser.driver import Page
@@ -23,7 +24,9 @@ def evaluated(made: Run) -> EvaluationReport:
     assert made.config.export is not None
     files = tuple(made.page.parent / f"{agent}.json" for agent in AGENTS)
     roots = tuple(source.root for source in made.config.sources)
-    return evaluate_predictions(Question(made.config.export, made.split, files, roots=roots))
+    return evaluate_predictions(
+        Question(made.config.export, made.split, files, options=SplitOptions(navmesh_roots=roots))
+    )
 
 
 def written_cells(report: EvaluationReport) -> dict[str, list[list[str]]]:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from condvln.explorer import Site, episode_document
-from condvln.explorer.walks import AgentResults
+from condvln.explorer.agents import AgentResults
 from tests.browser.driver import Page
 from tests.condvln.explorer.made_rows import made_manifest
 

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from condvln.explorer import Site, episode_document
-from condvln.explorer.walks import AgentResults
+from condvln.explorer.agents import AgentResults
 from tests.browser.driver import Page, browser
 from tests.condvln.explorer.made_rows import made_manifest
 

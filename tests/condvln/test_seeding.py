@@ -45,8 +45,3 @@ def test_first_draws_of_many_purposes_are_uniform_and_independent() -> None:
     assert stats.kstest(first, "uniform").pvalue > 1e-3
     cells = np.histogram2d(first, second, bins=8, range=[[0, 1], [0, 1]])[0]
     assert stats.chisquare(cells.ravel()).pvalue > 1e-3
-
-
-def test_a_kernel_takes_no_part_of_a_block() -> None:
-    with pytest.raises(TypeError, match="whole blocks"):
-        FewDraws(0, "few").compiled(lambda stream, left: 0)

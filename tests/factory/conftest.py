@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,9 @@ if FOLDER not in sys.path:
     sys.path.insert(0, FOLDER)
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [FOLDER, os.environ.get("PYTHONPATH", "")]))
 
-from factory import LocalStore  # noqa: E402
 from factory.object_store import ObjectStore  # noqa: E402
+from factory.ray_executor import RayExecutor  # noqa: E402
+from factory.store import LocalStore  # noqa: E402
 
 
 @pytest.fixture
@@ -29,3 +31,10 @@ def store(tmp_path: Path) -> LocalStore:
 def object_store(s3_server: str) -> ObjectStore:
     """An empty store in the bucket."""
     return ObjectStore("bucket", f"a/{secrets.token_hex(6)}", endpoint=s3_server)
+
+
+@pytest.fixture(scope="session")
+def executor() -> Iterator[RayExecutor]:
+    """One Ray of two workers for all tests of this folder."""
+    with RayExecutor(workers=2) as found:
+        yield found

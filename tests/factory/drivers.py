@@ -14,10 +14,10 @@ from typing import Any
 
 import toys
 
-from factory import InlineExecutor, open_store, run
-from factory.executor import Executor
-from factory.process_executor import ProcessExecutor
+from factory.executor import Executor, InlineExecutor
 from factory.ray_executor import RayExecutor
+from factory.run import run
+from factory.store import open_store
 
 COUNT = 60
 LOSER = "loses a node"
@@ -33,7 +33,6 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("store")
     parser.add_argument("--workers", type=int, default=0, help="of Ray's; 0: inline")
-    parser.add_argument("--processes", type=int, default=0, help="without Ray; 0: inline")
     parser.add_argument("--nodes", type=int, default=0, help="of one CPU each, behind a head without any")
     parser.add_argument("--lose", action="store_true", help="lose a node once units are running, gain another")
     parser.add_argument("--shuffle", type=int, default=0)
@@ -60,10 +59,8 @@ def drive(options: argparse.Namespace) -> dict[str, Any]:
         executor = cluster(options.nodes, Path(options.log) if options.lose else None)
     elif options.workers:
         executor = RayExecutor(workers=options.workers)
-    elif options.processes:
-        executor = ProcessExecutor(workers=options.processes)
     report = run(toys.pipeline(), units, open_store(options.store), executor=executor, part_bytes=2000)
-    if isinstance(executor, RayExecutor | ProcessExecutor):
+    if isinstance(executor, RayExecutor):
         executor.close()
     if options.nodes:
         import ray

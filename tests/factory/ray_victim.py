@@ -10,10 +10,11 @@ import threading
 
 import toys
 
-from factory import open_store, run
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt
-from factory.report import Silence
+from factory.report import Progress
+from factory.run import run
+from factory.store import open_store
 from schemas.errors import CondVLNError
 
 
@@ -34,7 +35,7 @@ def kill_below(parent: int, part: str) -> None:
     raise RuntimeError(f"nothing below this process ends in {part}")
 
 
-class Assassin(Silence):
+class Assassin(Progress):
     """Kills when the third unit of the last pass is done."""
 
     def __init__(self, part: str) -> None:

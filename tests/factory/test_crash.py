@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,11 +15,13 @@ from pathlib import Path
 
 import pytest
 import toys
+from faulty import POINTS, FaultyStore
 
-from factory import LocalStore, Snapshot, Unit, run
-from factory.faults import POINTS, FaultPlan
-from factory.snapshot import read_ref
-from schemas.errors import StoreError, TransientIOError, UsageError
+from factory.run import run
+from factory.snapshot import Snapshot, read_ref
+from factory.stage import Unit
+from factory.store import LocalStore
+from schemas.errors import StoreError
 
 # A server that has imported everything forks each driver in a few milliseconds.
 SPAWN = multiprocessing.get_context("forkserver")
@@ -27,7 +30,7 @@ SPAWN.set_forkserver_preload(["factory", "pandas", "toys"])
 UNITS = 14
 
 
-def drive(store: Path, faults: str, log: str = "", size: int = 0) -> None:
+def drive(store: Path, fault: str, log: str = "", size: int = 0) -> None:
     """A driver in its own process. ``size`` > 0 is another corpus, published before."""
     units = (
         [toys.unit(f"{'ab'[n % 2]}/u{n:05d}", size, partition="ab"[n % 2]) for n in range(6)] if size else corpus(log)
@@ -35,9 +38,8 @@ def drive(store: Path, faults: str, log: str = "", size: int = 0) -> None:
     run(
         toys.pipeline(),
         units,
-        LocalStore(store, durable=False),
+        FaultyStore(store, fault) if fault else LocalStore(store, durable=False),
         part_bytes=300,
-        faults=faults,
         renew=() if size else ("total",),
     )
 
@@ -64,26 +66,28 @@ def published(store: LocalStore) -> dict[str, list[dict[str, object]]]:
 def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[str | None, dict[str, bytes]]:
     store = LocalStore(tmp_path_factory.mktemp("expected"), durable=False)
     report = run(toys.pipeline(), corpus(), store, part_bytes=300)
-    return report.snapshot_id, parts(store, report.snapshot_id)
+    return report.snapshot_id, toys.files(store, report.snapshot_id)
 
 
-def parts(store: LocalStore, snapshot_id: str | None) -> dict[str, bytes]:
-    folder = store.root / "snapshots" / str(snapshot_id)
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))}
+@pytest.fixture(scope="module")
+def published_before(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store in which another corpus is published; read only."""
+    folder = tmp_path_factory.mktemp("before") / "store"
+    drive(folder, "", "", 4)
+    return folder
 
 
 @pytest.mark.parametrize("point", [p for p in POINTS if p != "quarantine-before-record"])
 def test_killed_at_every_point_the_next_run_ends_the_same(
-    tmp_path: Path, expected: tuple[str | None, dict[str, bytes]], point: str
+    tmp_path: Path, published_before: Path, expected: tuple[str | None, dict[str, bytes]], point: str
 ) -> None:
-    store = LocalStore(tmp_path / "store", durable=False)
+    store = LocalStore(shutil.copytree(published_before, tmp_path / "store"), durable=False)
     log = tmp_path / "log"
     log.mkdir()
-    assert in_a_process(drive, store.root, "", "", 4) == 0
     before = published(store)
     # Points of units are hit in the middle; those of the snapshot come once or a few times.
-    faults = f"{point}@9" if point.startswith("unit") else point
-    assert in_a_process(drive, store.root, faults, str(log)) == -signal.SIGKILL
+    fault = f"{point}@9" if point.startswith("unit") else point
+    assert in_a_process(drive, store.root, fault, str(log)) == -signal.SIGKILL
     if point == "snapshot-after-ref":
         assert Snapshot.open(store).snapshot_id == expected[0]
     else:
@@ -92,7 +96,7 @@ def test_killed_at_every_point_the_next_run_ends_the_same(
     runs = {path.name: len(path.read_text().splitlines()) for path in log.iterdir()}
     report = run(toys.pipeline(), corpus(str(log)), store, part_bytes=300, renew=("total",))
     assert report.snapshot_id == expected[0]
-    assert parts(store, report.snapshot_id) == expected[1]
+    assert toys.files(store, report.snapshot_id) == expected[1]
     # What was committed is not made again; at most the one stage that was under way is.
     again = {
         path.name
@@ -108,7 +112,7 @@ def test_killed_from_outside_mid_run(tmp_path: Path, expected: tuple[str | None,
     store, log = tmp_path / "store", tmp_path / "log"
     log.mkdir()
     script = (
-        "import sys, toys; from factory import LocalStore, run;"
+        "import sys, toys; from factory.run import run; from factory.store import LocalStore;"
         "units = toys.units(int(sys.argv[3]), log=sys.argv[2], seconds=0.05);"
         "run(toys.pipeline(), units, LocalStore(sys.argv[1]), part_bytes=300)"
     )
@@ -156,38 +160,6 @@ def test_readers_never_see_part_of_a_snapshot(tmp_path: Path) -> None:
     assert all(len(look) == 1 for look in seen)
 
 
-@pytest.mark.soak
-def test_readers_see_whole_snapshots_while_publishers_are_killed(tmp_path: Path) -> None:
-    """Publishers of ever other rows die at every point of publishing; a reader that polls all the while never minds."""
-    store = LocalStore(tmp_path / "store", durable=False)
-    assert in_a_process(drive, store.root, "", "", 3) == 0
-    looks: list[tuple[str, set[int]]] = []
-    failures: list[BaseException] = []
-    over = threading.Event()
-
-    def read() -> None:
-        while not over.is_set():
-            try:
-                snapshot = Snapshot.open(store)
-                # Each read compares the file with its hash in the manifest.
-                names = [row["unit"] for row in snapshot.table("numbers").to_pylist()]
-                looks.append((snapshot.snapshot_id, {names.count(name) for name in set(names)}))
-            except BaseException as error:
-                failures.append(error)
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    points = [point for point in POINTS if point.startswith("snapshot")]
-    for size, point in enumerate(points, start=4):
-        assert in_a_process(drive, store.root, point, "", size) == -signal.SIGKILL
-        assert in_a_process(drive, store.root, "", "", size) == 0
-    over.set()
-    reader.join()
-    assert failures == []
-    assert all(len(sizes) == 1 for _, sizes in looks), "all units of one look are of one size"
-    assert len({snapshot_id for snapshot_id, _ in looks}) >= 3, "the reader saw some of them come"
-
-
 def test_a_killed_quarantine_is_found_again(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store", durable=False)
     assert in_a_process(drive_with_failure, store.root) == -signal.SIGKILL
@@ -197,7 +169,7 @@ def test_a_killed_quarantine_is_found_again(tmp_path: Path) -> None:
 
 def drive_with_failure(store: Path) -> None:
     units = [*corpus(), toys.unit("a/bad", trouble="error")]
-    run(toys.pipeline(), units, LocalStore(store, durable=False), faults="quarantine-before-record")
+    run(toys.pipeline(), units, FaultyStore(store, "quarantine-before-record"))
 
 
 @pytest.mark.parametrize("point", ["unit-before-data@3", "unit-before-commit@3", "snapshot-between-parts"])
@@ -206,16 +178,6 @@ def test_a_full_disk_ends_the_run_and_costs_nothing(
 ) -> None:
     store = LocalStore(tmp_path / "store", durable=False)
     with pytest.raises(StoreError, match="no space"):
-        run(toys.pipeline(), corpus(), store, part_bytes=300, faults=f"{point}=full")
+        run(toys.pipeline(), corpus(), FaultyStore(store.root, f"{point}=full"), part_bytes=300)
     assert read_ref(store, "main") == (None, None)
     assert run(toys.pipeline(), corpus(), store, part_bytes=300).snapshot_id == expected[0]
-
-
-def test_fault_plans_are_read_strictly() -> None:
-    plan = FaultPlan.parse("unit-before-run@2=transient")
-    plan.reach("unit-before-run")
-    with pytest.raises(TransientIOError):
-        plan.reach("unit-before-run")
-    plan.reach("unit-before-run")
-    with pytest.raises(UsageError, match="no fault point"):
-        FaultPlan.parse("nowhere")

@@ -10,9 +10,9 @@ import pyarrow as pa
 import pytest
 import toys
 
-from factory import StageOutput, Unit
-from factory.fingerprint import ALL_UNITS, compare, fingerprints
+from factory.stage import StageOutput, Unit
 from schemas.errors import ProofError
+from tests.fingerprint import ALL_UNITS, compare, fingerprints
 
 
 @dataclass(frozen=True)

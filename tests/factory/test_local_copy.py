@@ -10,9 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import toys
 
-from factory import LocalStore, Snapshot, run
-from factory.local_copy import COPIES_KEPT, local_copy
 from factory.object_store import ObjectStore
+from factory.run import run
+from factory.snapshot import COPIES_KEPT, Snapshot, local_copy
+from factory.store import LocalStore
 from schemas.errors import CorruptShardError, PathEscapeError, StoreError
 
 
@@ -25,7 +26,7 @@ def test_a_store_on_this_disk_is_its_own_copy(store: LocalStore, tmp_path: Path)
     snapshot = Snapshot.open(store)
     assert local_copy(snapshot, tmp_path / "cache") == store.root / "snapshots" / snapshot.snapshot_id
     assert not (tmp_path / "cache").exists()
-    snapshot.local_paths("squares")[0].unlink()
+    (store.root / snapshot.paths("squares")[0]).unlink()
     with pytest.raises(StoreError, match="missing"):
         local_copy(snapshot, tmp_path / "cache")
 
@@ -59,7 +60,7 @@ def test_a_damaged_file_is_not_copied(object_store: ObjectStore, tmp_path: Path)
     path = snapshot.paths("squares")[0]
     data = object_store.read(path)
     object_store.write(path, data[:-1] + b"?")
-    with pytest.raises(CorruptShardError, match="differs from the manifest"):
+    with pytest.raises(CorruptShardError, match="differ from their recorded hash"):
         local_copy(snapshot, tmp_path)
     assert not (tmp_path / path).exists()
     object_store.delete(path)

@@ -14,8 +14,10 @@ import drivers
 import pytest
 import toys
 
-from factory import LocalStore, Snapshot, Store, open_store, run
 from factory.object_store import ObjectStore
+from factory.run import run
+from factory.snapshot import Snapshot
+from factory.store import LocalStore, Store, open_store
 from tests.ending import kill_driver
 
 
@@ -45,7 +47,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[str | None, dict
     return report.snapshot_id, hashes(store)
 
 
-@pytest.fixture(params=["local", "s3"])
+@pytest.fixture
 def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     if request.param == "local":
         return str(tmp_path / "store")
@@ -69,33 +71,40 @@ def test_an_object_store_holds_the_same(
 @pytest.mark.soak
 @pytest.mark.ray
 @pytest.mark.parametrize(
-    "way",
-    [[], ["--shuffle=3"], ["--workers=1"], ["--workers=2"], ["--workers=2", "--shuffle=9"], ["--nodes=2"]],
-    ids=["inline", "shuffled", "one-worker", "two-workers", "two-workers-shuffled", "two-nodes"],
+    ("address", "way"),
+    [
+        ("local", "--shuffle=3"),
+        ("local", "--workers=1"),
+        ("local", "--workers=2 --shuffle=9"),
+        ("local", "--nodes=2"),
+        ("s3", "--shuffle=3"),
+        ("s3", "--workers=2"),
+    ],
+    indirect=["address"],
 )
 def test_every_way_gives_one_id_and_equal_files(
-    address: str, way: list[str], expected: tuple[str | None, dict[str, tuple[str, list[str]]]]
+    address: str, way: str, expected: tuple[str | None, dict[str, tuple[str, list[str]]]]
 ) -> None:
-    assert drive(address, *way)["id"] == expected[0]
+    assert drive(address, *way.split())["id"] == expected[0]
     assert hashes(open_store(address)) == expected[1]
 
 
 @pytest.mark.soak
 @pytest.mark.ray
-@pytest.mark.parametrize("way", [[], ["--workers=2"]], ids=["inline", "two-workers"])
+@pytest.mark.parametrize(("address", "way"), [("local", "--workers=2"), ("s3", "")], indirect=["address"])
 def test_killed_and_resumed(
-    address: str, tmp_path: Path, way: list[str], expected: tuple[str | None, dict[str, tuple[str, list[str]]]]
+    address: str, tmp_path: Path, way: str, expected: tuple[str | None, dict[str, tuple[str, list[str]]]]
 ) -> None:
     log = tmp_path / "log"
     log.mkdir()
-    command = [sys.executable, "-m", "drivers", address, f"--log={log}", "--seconds=0.1", *way]
+    command = [sys.executable, "-m", "drivers", address, f"--log={log}", "--seconds=0.1", *way.split()]
     driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while len([*log.iterdir()]) < 12:
         assert driver.poll() is None
         time.sleep(0.02)
     kill_driver(driver)
     done = {path.name for path in log.iterdir()}
-    found = drive(address, f"--log={log}", *way)
+    found = drive(address, f"--log={log}", *way.split())
     assert [*open_store(address).list("quarantine")] == [], "a killed worker's unit is not at fault"
     assert (found["exit"], found["id"]) == (0, expected[0])
     assert hashes(open_store(address)) == expected[1]

@@ -1,10 +1,8 @@
-"""A unit that outgrows the memory ceiling is quarantined alone; limits and handlers are as before afterwards."""
+"""A unit that outgrows the memory ceiling is quarantined alone; the limit is as before afterwards."""
 
 from __future__ import annotations
 
 import resource
-import signal
-import time
 from pathlib import Path
 
 import pytest
@@ -12,8 +10,10 @@ import toys
 from hypothesis import given
 from hypothesis import strategies as st
 
-from factory import LocalStore, machine, memory, run
+from factory import machine
 from factory.commits import Commits
+from factory.run import run
+from factory.store import LocalStore
 from schemas.errors import MemoryCeilingError
 
 pytestmark = pytest.mark.skipif(not machine.rss(), reason="the system does not say how much memory a process holds")
@@ -21,8 +21,8 @@ pytestmark = pytest.mark.skipif(not machine.rss(), reason="the system does not s
 MIB = 1 << 20
 
 
-def state() -> tuple[object, ...]:
-    return resource.getrlimit(resource.RLIMIT_DATA), signal.getsignal(signal.SIGUSR2)
+def state() -> tuple[int, int]:
+    return resource.getrlimit(resource.RLIMIT_DATA)
 
 
 @pytest.mark.parametrize("trouble", ["hog", "request"])
@@ -38,10 +38,8 @@ def test_a_unit_beyond_the_ceiling_costs_its_own_result_only(store: LocalStore, 
     assert f"the ceiling of {ceiling / 2**30:.2f} GiB" in failure.message
     assert "ray.memory_gib" in failure.message
     record = Commits(store).quarantine_record(failure.stage, failure.key.hex())
-    assert record is not None
     assert "in misbehave" in record.traceback
-    # What the watch can't prevent between two looks is bounded by the limit on requests.
-    assert 0 < record.peak_rss < ceiling + 0.3 * 300 * MIB
+    assert 0 < record.peak_rss < ceiling + 64 * MIB
     assert state() == before
 
 
@@ -58,23 +56,18 @@ def test_a_higher_ceiling_and_a_retry_let_it_through(store: LocalStore, tmp_path
     assert run(toys.pipeline(), units, store, retry_quarantined=True).exit_code == 0
 
 
-def test_no_error_outside_of_the_armed_part() -> None:
-    ceiling = memory.MemoryCeiling(1)
-    with ceiling.watch():
-        data = bytearray(8 * MIB)
-    assert len(data) == 8 * MIB
-
-
-def test_the_error_comes_again_where_it_was_swallowed() -> None:
-    ceiling = memory.MemoryCeiling(machine.rss() - MIB)
-    swallowed = 0
-    with ceiling.watch(), ceiling.armed():
-        while swallowed < 2:
-            try:
-                time.sleep(60)
-            except MemoryCeilingError:
-                swallowed += 1
-    assert swallowed == 2
+def test_a_request_beyond_the_limit_is_refused_inside_the_context_only() -> None:
+    before = state()
+    ceiling = machine.rss() + 64 * MIB
+    with machine.limited_memory(ceiling):
+        assert len(bytearray(8 * MIB)) == 8 * MIB
+        with pytest.raises(MemoryError) as refused:
+            bytearray(256 * MIB)
+    assert state() == before
+    assert len(bytearray(256 * MIB)) == 256 * MIB
+    found = machine.named(refused.value, ceiling)
+    assert isinstance(found, MemoryCeilingError)
+    assert machine.named(ValueError("other"), ceiling).args == ("other",)
 
 
 @given(total=st.integers(1, 1 << 45), free=st.floats(0, 1), held=st.integers(0, 1 << 33), slots=st.integers(1, 256))
@@ -83,15 +76,15 @@ def test_all_workers_together_fit_the_machine(total: int, free: float, held: int
         patch.setattr(machine, "memory_total", lambda: total)
         patch.setattr(machine, "memory_available", lambda: int(total * free))
         patch.setattr(machine, "rss", lambda: held)
-        found = memory.share(slots)
+        found = machine.share(slots)
     assert found is not None
-    assert found == memory.LEAST or found * slots <= 0.8 * total
-    assert found == memory.LEAST or (found - held) * slots <= 0.8 * int(total * free)
+    assert found == machine.LEAST or found * slots <= 0.8 * total
+    assert found == machine.LEAST or (found - held) * slots <= 0.8 * int(total * free)
 
 
 def test_a_system_that_does_not_say_has_no_ceiling(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "memory_total", lambda: 0)
-    assert memory.share(1) is None
+    assert machine.share(1) is None
 
 
 @pytest.mark.parametrize(

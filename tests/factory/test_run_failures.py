@@ -6,13 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import toys
 
-from factory import LocalStore, Snapshot, plan, run
 from factory.commits import Commits
-from factory.rows import logical_hash
-from factory.shard import SHARD_FILE, shard_bytes, shard_table
+from factory.rows import parquet_bytes
+from factory.run import plan, run
+from factory.snapshot import Snapshot
+from factory.store import LocalStore
 from schemas.errors import MissingFileError, StoreError
 
 
@@ -48,7 +50,6 @@ def test_a_failing_unit_is_set_aside_and_the_others_go_on(
     ]
     assert toys.counts(log) == {"a_bad.count": attempts}
     record = Commits(store).quarantine_record("count", report.failures[0][1].key.hex())
-    assert record is not None
     assert (record.unit_id, record.cause, record.attempts) == ("a/bad", cause, attempts)
     assert "in misbehave" in record.traceback
     assert record.peak_rss > 0
@@ -142,14 +143,14 @@ def test_damaged_commits_are_found_and_made_again(store: LocalStore) -> None:
     whole = run(toys.pipeline(), units, store)
     # Cut one file of each stage; then something else changes, so that they are read.
     for stage in ("count", "square"):
-        path = next((store.root / "units" / stage).rglob(SHARD_FILE))
+        path = next((store.root / "units" / stage).rglob("*.parquet"))
         path.write_bytes(path.read_bytes()[:-40])
     (next((store.root / "units" / "word").rglob("unit.json"))).write_text("{")
     for ref in ("other",):
         report = run(toys.pipeline(), units, store, ref)
         assert report.snapshot_id == whole.snapshot_id
     # If the whole snapshot is gone too, it is packed again from the repaired commits.
-    path = next((store.root / "units" / "square").rglob(SHARD_FILE))
+    path = next((store.root / "units" / "square").rglob("squares.parquet"))
     path.write_bytes(path.read_bytes()[::-1])
     (store.root / "snapshots" / whole.snapshot_id / "manifest.json").unlink()  # type: ignore[operator]
     before = toys.files(store, whole.snapshot_id)  # type: ignore[arg-type]
@@ -163,18 +164,12 @@ def test_a_sound_file_with_other_rows_is_found_and_made_again(store: LocalStore)
     """Nothing in the file is damaged: only the hash of its rows can tell that it is another one."""
     units = toys.units(6)
     run(toys.pipeline(), units, store)
-    for stage, names in (("count", ("numbers", "states")), ("square", ("squares", "scratch"))):
-        for path in (store.root / "units" / stage).rglob(SHARD_FILE):
-            tables = {name: shard_table(path.read_bytes(), name, "file", None, "") for name in names}
-            for name, column, value in (("numbers", "n", 7), ("scratch", "sum", 7.0)):
-                if name in tables:
-                    rows = tables[name]
-                    values = pa.array([value] * len(rows), rows.schema.field(column).type)
-                    tables[name] = rows.set_column(
-                        rows.schema.get_field_index(column), rows.schema.field(column), values
-                    )
-            parts = (shard_bytes(name, rows, logical_hash(rows)[0]) for name, rows in tables.items())
-            path.write_bytes(b"".join(parts))
+    for name, column, value in (("numbers", "n", 7), ("scratch", "sum", 7.0)):
+        for path in (store.root / "units").rglob(f"{name}.parquet"):
+            rows = pq.ParquetFile(path).read()
+            values = pa.array([value] * len(rows), rows.schema.field(column).type)
+            at = rows.schema.get_field_index(column)
+            path.write_bytes(parquet_bytes(rows.set_column(at, rows.schema.field(column), values)))
     # Both later stages read what is committed, under new parameters; the aggregate reads it too.
     changed = toys.pipeline(square=toys.Square(power=3.0), word=toys.Word(phrase="now"))
     report = run(changed, units, store, renew=("total",))

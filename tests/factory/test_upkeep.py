@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 import toys
+from faulty import FaultyStore
 
-from factory import LocalStore, Snapshot, Store, plan, run
-from factory.report import Silence
-from factory.run_log import RunLog
-from factory.snapshot import read_ref
+from factory.report import Progress, RunLog
+from factory.run import plan, run
+from factory.snapshot import Snapshot, read_ref
 from factory.status import drift, store_status
+from factory.store import LocalStore, Store
 from factory.sweep import sweep
 from schemas.errors import CorruptShardError, StoreError
 
@@ -39,13 +40,11 @@ def everything(store: LocalStore) -> dict[str, bytes]:
 def test_a_ref_remembers_what_it_was(store: LocalStore) -> None:
     ids = grow(store, 1, 2, 3)
     ref, _ = read_ref(store, "main")
-    assert ref is not None
     assert (ref.snapshot_id, [state.snapshot_id for state in ref.history]) == (ids[2], [ids[1], ids[0]])
-    assert (ref.generation, ref.previous) == (3, ids[1])
+    assert ref.generation == 3
     # Back to an older state: it moves to the front and stands there once.
     assert grow(store, 1) == [ids[0]]
     ref, _ = read_ref(store, "main")
-    assert ref is not None
     assert [ref.snapshot_id, *(state.snapshot_id for state in ref.history)] == [ids[0], ids[2], ids[1]]
 
 
@@ -54,10 +53,7 @@ def test_a_sweep_keeps_what_refs_need_and_all_that_is_young(store: LocalStore) -
     before = everything(store)
     assert sweep(store, keep=2).removed == ()
     assert everything(store) == before, "all is younger than the grace period"
-    told = sweep(store, keep=2, now=LATER, dry_run=True)
-    assert everything(store) == before
     done = sweep(store, keep=2, now=LATER)
-    assert (done.files, done.bytes, done.removed, done.kept) == (told.files, told.bytes, told.removed, told.kept)
     assert set(done.kept) == set(ids[2:])
     assert set(done.removed) == set(ids[:2])
     after = everything(store)
@@ -89,7 +85,6 @@ def test_a_sweep_spares_every_ref_and_other_pins(store: LocalStore) -> None:
 def test_a_sweep_takes_no_unit_where_it_cannot_know_what_is_needed(store: LocalStore, damage: str, gone: bool) -> None:
     grow(store, 1, 2)
     ref, _ = read_ref(store, "main")
-    assert ref is not None
     path = f"indexes/{ref.index}.parquet" if damage == "index" else f"snapshots/{ref.snapshot_id}/manifest.json"
     if gone:
         store.delete(path)
@@ -110,7 +105,11 @@ def test_a_snapshot_about_to_be_published_again_is_young(store: LocalStore, monk
     for entry in store.list(f"snapshots/{ids[0]}"):
         os.utime(store.root / entry.path, (0, 0))
     with pytest.raises(StoreError, match="injected"):
-        run(toys.pipeline(), [*toys.units(4), toys.unit("a/grows", 1)], store, faults="snapshot-before-ref=full")
+        run(
+            toys.pipeline(),
+            [*toys.units(4), toys.unit("a/grows", 1)],
+            FaultyStore(store.root, "snapshot-before-ref=full"),
+        )
     assert sweep(store, keep=1, grace=500.0, now=time.time() + 100).removed == ()
     assert set(sweep(store, keep=1, grace=500.0, now=before).removed) == set(ids[:2])
 
@@ -182,7 +181,7 @@ def test_a_manifest_that_is_cut_is_told_with_what_to_do_and_written_anew(store: 
     path = f"snapshots/{found}/manifest.json"
     whole = store.read(path)
     store.write(path, whole[:-7])
-    with pytest.raises(CorruptShardError, match=r"manifest\.json.*condvln rebuild CONFIG"):
+    with pytest.raises(CorruptShardError, match=r"manifest\.json.*condvln generate CONFIG"):
         Snapshot.open(store)
     assert grow(store, 2) == [found]
     assert Snapshot.open(store).snapshot_id == found
@@ -195,13 +194,12 @@ def test_status_tells_refs_runs_and_sizes(store: LocalStore) -> None:
     report = run(toys.pipeline(), [toys.unit("a/x", trouble="error")], store, "other", budget=0)
     status = store_status(store, sizes=True)
     assert [(item.ref.name, item.ref.snapshot_id) for item in status.refs] == [("main", ids[1])]
-    assert status.refs[0].manifest is not None
     assert status.refs[0].manifest.units == {"ok": 5}
     assert [(r.ref, r.exit_code, r.published) for r in status.runs if r.ref == "other"] == [("other", 4, False)]
     assert len(status.runs) == 3
     assert "budget" in next(r for r in status.runs if r.exit_code == 4).message
     assert status.runs[0].failures == [] or status.runs[0].failures[0].unit_id == "a/x"
-    assert store.exists(report.record)
+    assert store.read(report.record)
     assert sum(status.files.values()) == len(everything(store))
     assert sum(status.bytes.values()) == sum(map(len, everything(store).values()))
 
@@ -260,7 +258,6 @@ def test_a_damaged_pinned_table_is_restored_from_the_snapshot(store: LocalStore)
 def test_a_pinned_table_lost_with_its_copy_is_never_replaced_by_another_silently(store: LocalStore) -> None:
     (second,) = grow(store, 1, 2)[1:]
     ref, _ = read_ref(store, "main")
-    assert ref is not None
     (entry,) = store.list("aggregates")
     (copy,) = store.list(f"snapshots/{ref.snapshot_id}/shared")
     for path in (entry.path, copy.path):
@@ -295,20 +292,20 @@ def test_a_damaged_published_file_is_found_and_made_again(store: LocalStore) -> 
     run(toys.pipeline(), toys.units(9), store, part_bytes=200)
     snapshot = Snapshot.open(store)
     whole = snapshot.table("squares")
-    path = snapshot.local_paths("squares")[1]
+    path = store.root / snapshot.paths("squares")[1]
     good = path.read_bytes()
     path.write_bytes(good[:100] + b"?" + good[101:])
-    with pytest.raises(CorruptShardError, match="differs from the manifest"):
+    with pytest.raises(CorruptShardError, match="differ from their recorded hash"):
         snapshot.table("squares")
-    untouched = snapshot.local_paths("squares")[0].stat().st_ino
+    untouched = (store.root / snapshot.paths("squares")[0]).stat().st_ino
     report = run(toys.pipeline(), toys.units(9), store, part_bytes=200, verify=True)
     assert report.stages == {}
     assert path.read_bytes() == good
-    assert snapshot.local_paths("squares")[0].stat().st_ino == untouched
+    assert (store.root / snapshot.paths("squares")[0]).stat().st_ino == untouched
     assert Snapshot.open(store).table("squares") == whole
 
 
-class Rival(Silence):
+class Rival(Progress):
     """Lets another run publish in the middle of this one."""
 
     def __init__(self, store: Store, size: int) -> None:

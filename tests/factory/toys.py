@@ -19,7 +19,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from factory import Aggregate, InputFile, LocalStore, Pipeline, Stage, StageOutput, TableSpec, Unit
+from factory.pipeline import Pipeline, TableSpec
+from factory.stage import Aggregate, InputFile, Stage, StageOutput, Unit
+from factory.store import LocalStore
 from schemas.canonical import JSON
 from schemas.errors import FormatError, TransientIOError
 
@@ -215,10 +217,10 @@ def pipeline(
         stages=(count or Count(), square or Square(), word or Word()),
         aggregates=(total or Total(),),
         tables={
-            "numbers": TableSpec(NUMBERS, ("unit", "n"), "count"),
-            "states": TableSpec(STATES, ("unit",), "count"),
-            "squares": TableSpec(SQUARES, ("unit", "n"), "square"),
-            "texts": TableSpec(TEXTS, ("unit",), "word"),
+            "numbers": TableSpec(NUMBERS, ("unit", "n")),
+            "states": TableSpec(STATES, ("unit",)),
+            "squares": TableSpec(SQUARES, ("unit", "n")),
+            "texts": TableSpec(TEXTS, ("unit",)),
         },
     )
 
@@ -240,9 +242,9 @@ def units(count: int = 12, **payload: JSON) -> list[Unit]:
     ]
 
 
-def files(store: LocalStore, snapshot_id: str) -> dict[str, bytes]:
+def files(store: LocalStore, snapshot_id: str | None) -> dict[str, bytes]:
     """Every Parquet file of a snapshot."""
-    folder = store.root / "snapshots" / snapshot_id
+    folder = store.root / "snapshots" / str(snapshot_id)
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))}
 
 

@@ -9,14 +9,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from condvln.samples import make_samples
-from factory.address import open_store
+from factory.store import open_store
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import CACHE_VARIABLE
-from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config import Config, InstructionsConfig, SourceConfig, SplitsConfig
+from schemas.program import CATEGORIES
 
 SCENES = 2
 
@@ -29,6 +31,46 @@ def configuration(folder: Path, root: Path, **changes: object) -> Config:
         sources=(SourceConfig(family="replicacad", root=root),),
         instructions=InstructionsConfig(per_category={"simple": 2, "nested": 2}),
     ).model_copy(update=changes)
+
+
+def made_config(
+    folder: Path, family: str, scenes: int, seed: int = 3, *, episodes: int | dict[str, int], **changes: object
+) -> Config:
+    """A configuration over made scenes of a family in ``data``; its store and its export are below `folder` too.
+
+    episodes : of each category in each scene, or by category
+    """
+    make_samples(folder / "data", family=family, scenes=scenes, seed=seed)
+    wanted = episodes if isinstance(episodes, dict) else dict.fromkeys(CATEGORIES, episodes)
+    return Config(
+        name=family,
+        store=folder / "store",
+        export=folder / "export",
+        sources=(SourceConfig(family=family, root=folder / "data"),),  # type: ignore[arg-type]
+        instructions=InstructionsConfig(per_category=wanted),
+    ).model_copy(update=changes)
+
+
+def remove(folder: Path, *patterns: str) -> None:
+    """Remove the files below a folder that have one of these names."""
+    for pattern in patterns:
+        for path in folder.rglob(pattern):
+            path.unlink()
+
+
+def made_scans(folder: Path, *, meshes: bool) -> Config:
+    """The configuration of a run over three made scans of Matterport3D, after it; without meshes, viewpoints alone."""
+    config = made_config(folder, "mp3d", 3, 5, episodes=12, splits=SplitsConfig(fractions=(0.0, 0.0, 1.0)))
+    if not meshes:
+        remove(folder / "data", "*.glb", "*.navmesh")
+    assert run_generate(config, inline=True, console=Console(quiet=True)).exit_code == 0
+    return config
+
+
+@pytest.fixture(scope="session")
+def scans_alone(tmp_path_factory: pytest.TempPathFactory) -> Config:
+    """A run over scans of which only the annotation and the viewpoints are there; read only."""
+    return made_scans(tmp_path_factory.mktemp("alone"), meshes=False)
 
 
 @pytest.fixture(scope="session")

@@ -12,19 +12,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from factory.index import Index
-from factory.local_store import LocalStore
-from factory.shard import SHARD_FILE
 from factory.snapshot import Snapshot, read_ref
+from factory.store import LocalStore
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
 from jobs.plan import make_plan
-from jobs.query import run_query
+from jobs.query import query_target
 from jobs.rebuild import run_rebuild
 from jobs.report import Report
 from jobs.show import show_episodes
-from jobs.status import report_status
+from jobs.status import target_status
 from jobs.verify import verify_export
-from jobs.workspace import open_store
+from jobs.workspace import Target, open_store
 from schemas.config import Config
 
 __all__ = ["DAMAGES", "KINDS", "READERS", "REPAIRERS", "VERBS", "Built", "settle"]
@@ -50,8 +49,8 @@ def _verify(config: Config) -> Report:
 
 READERS: Final[dict[str, Callable[[Config], Report]]] = {
     "plan": make_plan,
-    "status": report_status,
-    "query": lambda config: run_query(config, "SELECT source, count(*) FROM episodes GROUP BY source"),
+    "status": lambda config: target_status(Target.of(config)),
+    "query": lambda config: query_target(Target.of(config), "SELECT source, count(*) FROM episodes GROUP BY source"),
     "show": lambda config: show_episodes(config, sample=3),
     "verify": _verify,
     "export": export_snapshot_of,
@@ -76,18 +75,17 @@ def _files(store: Path, name: str) -> dict[str, Path]:
     """The file of each kind that a ref names."""
     snapshot = Snapshot.open(LocalStore(store), name)
     ref, _ = read_ref(LocalStore(store), name)
-    assert ref is not None
-    row = snapshot.index().table.slice(0, 1).to_pylist()[0]
+    row = snapshot.index.table.slice(0, 1).to_pylist()[0]
 
     def unit(stage: str, file: str) -> Path:
         key = row[f"{stage}.key"].hex()
         return store / "units" / stage / key[:2] / key / file
 
     return {
-        "unit table": unit("text", SHARD_FILE),
+        "unit table": unit("text", "instructions.parquet"),
         "unit.json": unit("text", "unit.json"),
-        "built navmesh": unit("scene", SHARD_FILE),
-        "snapshot table": snapshot.local_paths("episodes")[0],
+        "built navmesh": unit("scene", "navmeshes.parquet"),
+        "snapshot table": store / snapshot.paths("episodes")[0],
         "manifest": store / "snapshots" / ref.snapshot_id / "manifest.json",
         "index": store / Index.path(ref.index),
         "ref": store / "refs" / f"{name}.json",
@@ -125,7 +123,7 @@ class Built:
         assert done.exit_code == 0, done.lines
         for _ in range(2):
             assert run_rebuild(config, inline=True, if_changed=True).exit_code == 0
-        assert "no file changed" in run_rebuild(config, inline=True, if_changed=True).lines[0]
+        assert "no name, size or time of a file changed" in run_rebuild(config, inline=True, if_changed=True).lines[0]
         verified = READERS["verify"](config)
         assert verified.exit_code == 0, verified.lines
         shutil.copytree(work, folder / "aside")

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 import zipfile
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -23,9 +24,10 @@ from typing import Any
 class JobServer:
     """What the server knows, and what it was asked.
 
-    failing : so many of the next requests are answered with `fault`
+    failing : so many of the next requests are answered with `fault`; refusing : so many that start a job
     hidden : answers do not tell the exit code, as older versions do
     instead : run this in place of what is submitted
+    silent : paths that end so are never answered
     """
 
     folder: Path
@@ -35,9 +37,11 @@ class JobServer:
     asked: list[tuple[str, str]] = field(default_factory=list)
     headers: dict[str, str] = field(default_factory=dict)
     failing: int = 0
+    refusing: int = 0
     fault: tuple[int, str] = (503, "the head restarts")
     hidden: bool = False
     instead: str = ""
+    silent: str = "-"
     address: str = ""
 
     def start(self) -> ThreadingHTTPServer:
@@ -112,8 +116,12 @@ def _handler(server: JobServer) -> type[BaseHTTPRequestHandler]:
             body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
             server.asked.append((self.command, self.path))
             server.headers = dict(self.headers.items())
-            if server.failing:
-                server.failing -= 1
+            if self.path.endswith(server.silent):
+                time.sleep(5)
+            starts = self.command == "POST" and server.refusing > 0
+            if server.failing or starts:
+                server.failing -= not starts
+                server.refusing -= starts
                 code, answer = server.fault
             else:
                 code, answer = server.answer(self.command, self.path, body)

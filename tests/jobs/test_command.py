@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import yaml
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from condvln.samples import make_samples
-from factory import LocalStore, Snapshot
 from factory.ray_executor import RayExecutor
-from jobs.command import app, main
+from factory.snapshot import Snapshot
+from factory.store import LocalStore
+from jobs.command import REPLACED, VERBS, app, main
 from jobs.configuration import load_config
-from jobs.reference import FILE, command_paths, reference
 from jobs.report import Report
 from schemas.config import Config
+from schemas.errors import UsageError
 from schemas.program import CATEGORIES
+from tests.site_parts import part
 
 runner = CliRunner()
+PAGE = part("command")
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
@@ -37,7 +42,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="closes files in the shell")
-@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", [pytest.param("2>&-", marks=pytest.mark.soak), "<&- >&- 2>&-"])
 def test_closed_standard_files_cost_nothing(tmp_path: Path, closed: str) -> None:
     """Those of a job that was started without a terminal may be closed; no other file must take their numbers."""
     make_samples(tmp_path / "data", family="replicacad", scenes=3, seed=0)
@@ -56,20 +61,45 @@ def test_closed_standard_files_cost_nothing(tmp_path: Path, closed: str) -> None
     assert Snapshot.open(LocalStore(tmp_path / "store"), "closed").manifest.tables["episodes"].rows
 
 
-@pytest.mark.parametrize("path", command_paths(), ids=" ".join)
+@pytest.mark.parametrize("path", PAGE.command_paths(), ids=" ".join)
 def test_every_command_and_option_has_help(path: tuple[str, ...]) -> None:
     result = runner.invoke(app, [*path, "--help"])
     assert result.exit_code == 0
     assert "Usage" in result.output
 
 
+@pytest.mark.parametrize("name", [verb.__name__ for verbs in VERBS.values() for verb in verbs])
+def test_the_help_of_each_verb_ends_with_an_example_that_parses(name: str) -> None:
+    """In a terminal of 80 columns no line is longer, and the example is a command line of this verb."""
+    said = runner.invoke(app, [name, "--help"], terminal_width=80).output
+    assert max(map(len, said.splitlines())) <= 80
+    words = shlex.split(said.split("Example: condvln ")[1])
+    command = get_command(app).commands[name]  # type: ignore[attr-defined]
+    assert words[0] == name
+    assert len(words) > 1
+    command.make_context(name, words[1:])
+
+
+def test_the_help_of_the_command_fits_and_names_each_verb_once() -> None:
+    said = runner.invoke(app, ["--help"], terminal_width=80).output
+    assert max(map(len, said.splitlines())) <= 80
+    assert "…" not in said
+    assert "..." not in said.split("Options:")[1]
+    listed = re.findall(r"^  ([a-z]+)  ", said, re.MULTILINE)
+    assert sorted(listed) == sorted({path[0] for path in PAGE.command_paths() if path})
+
+
+def test_the_command_says_its_version() -> None:
+    assert runner.invoke(app, ["--version"]).output == f"condvln {version('condvln')}\n"
+
+
 def test_reference_is_up_to_date() -> None:
-    assert FILE.read_text(encoding="utf-8") == reference(), "run: python -m jobs.reference"
+    assert PAGE.FILE.read_text(encoding="utf-8") == PAGE.reference(), "run: python docs/site/command.py"
 
 
 def test_readme_names_only_commands_that_exist(repository: Path) -> None:
     words = (repository / "README.md").read_text(encoding="utf-8").split("condvln ")
-    known = {path[0] for path in command_paths() if path}
+    known = {path[0] for path in PAGE.command_paths() if path}
     named = {rest.split()[0].strip("`") for rest in words[1:] if rest.split()}
     assert {word for word in named if word.islower() and word.isalpha()} & known
     block = [line for line in (repository / "README.md").read_text().splitlines() if "bin/condvln" in line]
@@ -96,7 +126,9 @@ def test_faults_are_one_message_and_an_exit_code(words: tuple[str, ...], said: s
 
 
 @pytest.mark.parametrize(
-    "words", [("samples", "FILE", "--family", "ithor", "--scenes", "1"), ("oracle", "FILE", "train")], ids=" ".join
+    "words",
+    [("demo", "--out", "FILE", "--family", "ithor", "--scenes", "1"), ("export", "FILE", "train", "--oracle")],
+    ids=" ".join,
 )
 def test_a_path_that_leads_nowhere_is_one_message_too(
     words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -143,6 +175,24 @@ def test_published_snapshot_is_seen_by_every_verb(made_run: tuple[Config, Report
     assert again == shown[:1]
     status = verb("status", path)
     assert status["ref"]["snapshot_id"] == report.document["snapshot_id"]
+    # One spelling of where scenes lie, for a configuration that names another folder, and for the export alone.
+    (source,) = config.sources
+    data = ("--data", f"{source.family}={source.root}")
+    away = config.model_copy(update={"sources": (source.model_copy(update={"root": tmp_path / "away"}),)})
+    moved = str(written(away.model_copy(update={"export": tmp_path / "export"}), tmp_path))
+    assert verb("plan", moved, *data)["counts"] == {"FRESH": scenes}
+    verb("export", moved, *data)
+    proof = verb("verify", str(tmp_path / "export"), *data)
+    assert proof["proven"] == verb("verify", moved, *data)["proven"] > 0
+    # On the machine that made an export, its scenes are found without a word.
+    assert verb("verify", str(tmp_path / "export")) == proof
+
+
+@pytest.mark.parametrize("verb", sorted(REPLACED))
+def test_a_verb_of_an_older_release_names_the_new_one(verb: str) -> None:
+    result = runner.invoke(app, [verb, "x"])
+    assert isinstance(result.exception, UsageError)
+    assert f"Use condvln {REPLACED[verb]}." in str(result.exception)
 
 
 def test_what_ray_says_is_not_in_the_report(
@@ -159,22 +209,3 @@ def test_what_ray_says_is_not_in_the_report(
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["snapshot_id"] == made_run[1].document["snapshot_id"]
     assert "(raylet) Raylet is terminated." in result.stderr
-
-
-def test_a_wrong_query_names_the_tables(made_run: tuple[Config, Report], tmp_path: Path) -> None:
-    config, _ = made_run
-    result = run("query", str(written(config, tmp_path)), "SELECT * FROM nothing")
-    assert result.returncode == 1
-    assert "Tables: scenes, rooms" in result.stderr
-
-
-def test_export_loads_and_names_every_episode_once(
-    made_run: tuple[Config, Report], tmp_path: Path, configured: Callable[..., Config]
-) -> None:
-    config, _ = made_run
-    path = str(written(config.model_copy(update={"export": tmp_path / "out"}), tmp_path))
-    result = runner.invoke(app, ["export", path, "--json"])
-    assert result.exit_code == 0, result.output
-    lines = [json.loads(x) for p in (tmp_path / "out" / "manifest").glob("*.jsonl") for x in p.read_text().splitlines()]
-    ids = [line["episode_id"] for line in lines]
-    assert len(ids) == len(set(ids)) == sum(json.loads(result.stdout)["episodes"].values())

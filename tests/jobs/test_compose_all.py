@@ -1,4 +1,4 @@
-"""``condvln compose --all``: what is told of scenes that can't be composed, and what is never overwritten."""
+"""``condvln export --compose``: what is told of scenes that can't be composed, and what is never overwritten."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 from condvln.export.vlnce import scene_file
 from condvln.samples import make_layouts, make_samples, write_replicacad
 from condvln.sources.family import FAMILIES
-from jobs import compose_all as module
+from jobs import compose as module
 from jobs.command import app
-from jobs.compose_all import compose_all
+from jobs.compose import compose_all
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.errors import FormatError, PathEscapeError, UsageError
 
@@ -60,7 +60,6 @@ def houses(tmp_path_factory: pytest.TempPathFactory) -> Config:
 
 def told(config: Config, *scenes: str, **changes: Any) -> None:
     """An export's record, by itself: all that is read of it."""
-    assert config.export is not None
     config.export.mkdir(exist_ok=True)
     record = {"snapshot": "made", "scenes": {"train": [*scenes]}, "files": {}, **changes}
     (config.export / "export.json").write_text(json.dumps(record))
@@ -99,7 +98,7 @@ def test_what_others_put_there_is_left(houses: Config, tmp_path: Path) -> None:
     report = compose_all(houses, tmp_path)
     assert report.exit_code == 3
     assert [one["scene"] for one in report.document["failed"]] == ["procthor/houses-1", "procthor/houses-2"]
-    assert all("was not written by condvln compose" in one["message"] for one in report.document["failed"])
+    assert all("was not written by condvln export --compose" in one["message"] for one in report.document["failed"])
     assert theirs.read_bytes() == before
     assert not theirs.with_suffix(".navmesh").exists()
 
@@ -119,7 +118,7 @@ def test_nothing_is_written_into_an_export(houses: Config, tmp_path: Path) -> No
     config_file = tmp_path / "run.yaml"
     config_file.write_text(config.model_dump_json())
     inside = str(config.export / "a.glb")
-    result = CliRunner().invoke(app, ["compose", str(config_file), "houses-0", inside])
+    result = CliRunner().invoke(app, ["export", str(config_file), "houses-0", "--compose", inside])
     assert isinstance(result.exception, UsageError)
     assert not Path(inside).exists()
 
@@ -232,13 +231,13 @@ def test_the_command_takes_one_scene_or_all(houses: Config, tmp_path: Path) -> N
     config.write_text(houses.model_dump_json())
     runner = CliRunner()
     folder = str(tmp_path / "scenes")
-    result = runner.invoke(app, ["compose", str(config), "--all", folder, "--json"])
+    result = runner.invoke(app, ["export", str(config), "--compose", folder, "--json"])
     assert result.exit_code == 0
     said = json.loads(result.stdout)
     assert (said["scenes"], said["written"], said["exit_code"]) == (3, 3, 0)
-    shown = runner.invoke(app, ["compose", str(config), "--all", folder])
+    shown = runner.invoke(app, ["export", str(config), "--compose", folder])
     assert "0 written, 3 unchanged" in " ".join(shown.stdout.split())  # lines are folded
-    for words in ([], ["houses-0"], ["houses-0", "a.glb", "--all", folder], ["houses-0", "--all", folder]):
-        wrong = runner.invoke(app, ["compose", str(config), *words])
+    for words in (["houses-0"], ["--oracle"], ["houses-0", "--oracle", "--compose", folder]):
+        wrong = runner.invoke(app, ["export", str(config), *words])
         assert isinstance(wrong.exception, UsageError)
-        assert "give either SCENE and OUT.glb, or --all DIR" in str(wrong.exception)
+        assert "neither an export, nor a twin, nor composed scenes" in str(wrong.exception)

@@ -1,4 +1,4 @@
-"""``condvln compose --all`` in every form: the files that the episodes of an export name, and the ways in them."""
+"""``condvln export --compose`` in every form: the files that the episodes of an export name, and the ways in them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.console import Console
 
 from condvln.export.splits import SPLITS
 from condvln.navigation.pathfinder import Pathfinder
-from jobs.compose_all import compose_all
+from jobs.compose import compose_all
 from jobs.generate import run_generate
 from schemas.config import Config, SourceConfig
 from tests.jobs.test_compose_all import config_of, files, source_of
@@ -82,7 +82,6 @@ def off(folder: Path, episodes: list[Episode]) -> np.ndarray:
         nav = Pathfinder.load(named(folder, episode).with_suffix(".navmesh"))
         assert nav.is_navigable(episode.start_position), episode.episode_id
         goals = [goal.position for goal in episode.goals or []]
-        assert episode.info is not None
         found = nav.geodesic_distances(np.repeat([episode.start_position], len(goals), axis=0), goals).min()
         differences.append(found - episode.info["geodesic_distance"])
     return np.abs(differences)

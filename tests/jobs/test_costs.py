@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.costs import first_run
-from condvln.compiled import warm_up
 from condvln.sources.family import FAMILIES
 from condvln.sources.registry import open_source
 from condvln.sources.source import SceneCounts
-from jobs.costs import COEFFICIENTS, FEATURES, counts_of, stage_costs
+from jobs.costs import COEFFICIENTS, FEATURES, stage_costs
 from jobs.pipeline import build_pipeline, list_units
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, InstructionsConfig, SourceConfig
@@ -31,7 +30,6 @@ def config(family: str, root: Path, store: Path, per: int = 12) -> Config:
 
 def test_every_family_and_every_stage_has_coefficients(tmp_path: Path) -> None:
     stages = {stage.name for stage in build_pipeline(config("ithor", tmp_path, tmp_path)).stages}
-    assert {FAMILIES[family].costs_like or family for family in FAMILIES} == set(COEFFICIENTS)
     for table in COEFFICIENTS.values():
         assert set(table) == set(FEATURES) == stages
         for stage, coefficients in table.items():
@@ -56,24 +54,6 @@ def test_more_of_anything_never_costs_less(
 
     least, more = seconds(objects, asked), seconds(objects + 10, asked + 10)
     assert all(0 <= least[stage] <= more[stage] for stage in FEATURES)
-
-
-def test_the_counts_of_a_scene() -> None:
-    counts = SceneCounts(objects=100.0, rooms=4.0, navmesh_bytes=0, mesh_bytes=3_000_000)
-    assert counts_of("mp3d", counts, 50) == {
-        "scene": 1.0,
-        "objects": 100.0,
-        "seen_objects": 100.0,
-        "kilopairs": 2.5,
-        "asked": 0.5,
-        "placed_kiloobjects": 5.0,
-        "mesh_mb": 3.0,
-    }
-    # Without navmesh and without anything to build one from no episode is placed; a shipped navmesh builds none.
-    assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["placed_kiloobjects"] == 0
-    assert counts_of("gibson", SceneCounts(100.0, 4.0), 50)["seen_objects"] == 0
-    assert counts_of("gibson", SceneCounts(100.0, 4.0, 10, 3_000_000), 50)["mesh_mb"] == 0
-    assert counts_of("ithor", SceneCounts(100.0), 50)["placed_kiloobjects"] == 5.0
 
 
 def test_a_huge_room_is_known_to_be_huge() -> None:
@@ -103,12 +83,12 @@ def test_counts_of_real_scenes_are_about_right(family: str, real_data: Path) -> 
 def test_first_runs_take_about_what_was_estimated(asked: int, real_data: Path, tmp_path: Path) -> None:
     """CPU seconds of stages, kernels warm. Estimates were once 3 to 7 times too high: stages had become faster.
 
-    The measure of the machine's speed can be off by a factor of two where another process shares the core. It is off
-    for all families alike, so that they are compared with each other strictly, and with the machine's time loosely.
+    A machine may be slower than the one that they were fitted on, for all families alike: these are compared with each
+    other strictly, and with the machine's time loosely.
     """
-    warm_up(lambda message: None)
     ratios = {}
     for family in sorted(COEFFICIENTS):
+        first_run(family, real_data / family, asked, tmp_path / "kernels", 1)
         found = first_run(family, real_data / family, asked, tmp_path, 6)
         assert set(found.stages) == set(FEATURES)
         ratios[family] = found.ratio(*FEATURES)

@@ -14,17 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 from typer.testing import CliRunner
 
 from condvln.evaluation.agents import AGENTS, walk_to_leaf
 from condvln.evaluation.evaluate import evaluate as evaluate_tasks
-from condvln.evaluation.export_folder import open_export
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.split import split_tasks
+from condvln.evaluation.split import SplitOptions, open_export, split_tasks
 from condvln.evaluation.walker import Observation, walk
-from condvln.explorer.chunks import chunk_content
+from condvln.explorer.site import chunk_content
+from condvln.navigation.points import densify
 from jobs.command import app
-from jobs.report import Report
+from jobs.evaluate import Question, evaluate_predictions
+from jobs.report import PIPE_WIDTH, Report
 from schemas.config import Config
 from schemas.errors import FormatError, MissingFileError, UsageError
 from tests.strict_loader import read
@@ -38,9 +40,25 @@ def agents(export: Path, split: str, made_dataset: Path, tmp_path_factory: pytes
     folder = tmp_path_factory.mktemp("agents")
     for name in ("oracle", "always-then", "wrong-branch"):
         words = ["walk", str(export), split, "--agent", name, "--out", str(folder / f"{name}.json")]
-        result = runner.invoke(app, [*words, "--navmesh-root", str(made_dataset)])
+        result = runner.invoke(app, [*words, "--data", str(made_dataset)])
         assert result.exit_code == 0, result.output
     return {path.stem: path for path in folder.glob("*.json")}
+
+
+def test_a_narrow_terminal_shows_the_leading_columns_whole(
+    export: Path, split: str, agents: dict[str, Path], made_dataset: Path
+) -> None:
+    options = SplitOptions(navmesh_roots=(made_dataset,))
+    report = evaluate_predictions(Question(export, split, (agents["oracle"],), options=options))
+    narrow, wide = Console(width=80, record=True), Console(width=PIPE_WIDTH, record=True)
+    for console in (narrow, wide):
+        console.print(report)
+    said = narrow.export_text()
+    assert max(map(len, said.splitlines())) <= 80
+    assert "SR ↑" in said
+    assert "100.0" in said
+    assert "SDTW" in said.split("no room for")[1]
+    assert "no room for" not in wide.export_text()
 
 
 def test_a_navmesh_that_is_missing_is_named_before_the_first_walk(
@@ -52,7 +70,7 @@ def test_a_navmesh_that_is_missing_is_named_before_the_first_walk(
     (tmp_path / "dataset" / tasks[-1].navmesh).unlink()
     monkeypatch.setattr("jobs.evaluate.agent_named", lambda name: lambda *arguments: pytest.fail("walked"))
     words = ["walk", str(export), split, "--agent", "oracle", "--out", str(tmp_path / "oracle.json")]
-    result = runner.invoke(app, [*words, "--navmesh-root", str(tmp_path / "dataset")])
+    result = runner.invoke(app, [*words, "--data", str(tmp_path / "dataset")])
     assert isinstance(result.exception, MissingFileError) or result.exit_code == 3, result.output
     assert tasks[-1].navmesh in result.output + str(result.exception)
 
@@ -60,7 +78,7 @@ def test_a_navmesh_that_is_missing_is_named_before_the_first_walk(
 @pytest.fixture
 def evaluate(export: Path, split: str, made_dataset: Path) -> Any:
     def run(*words: Any) -> Any:
-        given = ["evaluate", str(export), split, *map(str, words), "--navmesh-root", str(made_dataset)]
+        given = ["evaluate", str(export), split, *map(str, words), "--data", str(made_dataset)]
         return runner.invoke(app, given)
 
     return run
@@ -157,7 +175,8 @@ def test_missing_predictions_are_counted_aloud(
     short.write_text(json.dumps(some))
     lacking = [task.episode_id for task in tasks if task.episode_id not in some]
     document = json.loads(evaluate(short, agents["oracle"], "--json").stdout)
-    (warning,) = document["warnings"]
+    warning, unchecked = document["warnings"]
+    assert unchecked.startswith(f"justified is undefined in {len(tasks)} of {len(tasks)} episodes")
     count = f"{len(tasks) - kept} of {len(tasks)} episodes have no prediction"
     assert warning.startswith(f"{short}: {count}")
     first, second = document["predictions"]
@@ -173,6 +192,88 @@ def test_missing_predictions_are_counted_aloud(
     assert count in str(refused.exception)
     assert refused.exception.exit_code == 3
     assert evaluate(agents["oracle"], "--strict").exit_code == 0
+
+
+def broken(whole: dict[str, Any], kind: str) -> dict[str, Any]:
+    """Predictions of which the first two are not walks of an agent."""
+    changed = {name: [dict(pose) for pose in poses] for name, poses in whole.items()}
+    for poses in list(changed.values())[:2]:
+        if kind == "two poses":
+            poses[1:-1] = []
+        elif kind == "far away":
+            poses.insert(1, {**poses[0], "position": [99_999.0, 0.0, 0.0]})
+        elif kind == "above the floor":
+            poses.insert(1, {**poses[0], "position": np.add(poses[0]["position"], [0, 0.6, 0]).tolist()})
+        elif kind == "every fourth":
+            poses[:] = [*poses[:-1:4], poses[-1]]
+        elif kind == "inside a wall":
+            poses.insert(1, {**poses[0], "position": np.add(poses[0]["position"], [0, -0.55, 0]).tolist()})
+    return changed
+
+
+@pytest.mark.parametrize("kind", ["two poses", "far away", "above the floor", "every fourth", "inside a wall"])
+def test_walks_that_no_agent_can_have_made_are_named_and_refused_by_strict(
+    evaluate: Any, agents: dict[str, Path], tmp_path: Path, kind: str
+) -> None:
+    path = tmp_path / "agent.json"
+    whole = json.loads(agents["oracle"].read_text())
+    path.write_text(json.dumps(broken(whole, kind)))
+    names = list(whole)[:2]
+    document = json.loads(evaluate(path, agents["oracle"], "--json").stdout)
+    first, second = document["predictions"]
+    off = kind in ("far away", "above the floor", "inside a wall")
+    assert first["gap_ids"] == names
+    assert first["gaps"] >= 2
+    assert (first["off_navmesh"], first["off_navmesh_ids"]) == ((2, names) if off else (0, []))
+    assert (second["gaps"], second["off_navmesh"], second["notes"]) == (0, 0, [])
+    said = " ".join(document["warnings"])
+    assert "2 of " in said
+    assert "episodes have steps that no single action can make" in said
+    assert all(name in said for name in names)
+    assert ("off the navmesh" in said) is off
+    refused = evaluate(path, "--strict")
+    assert isinstance(refused.exception, FormatError)
+    assert "steps that no single action can make" in str(refused.exception)
+    main = documents(evaluate, path)["main"]["rows"][0]
+    assert main["spl"]["mean"] <= main["success"]["mean"]
+
+
+def test_a_longer_action_forward_is_named(
+    evaluate: Any, export: Path, split: str, agents: dict[str, Path], tmp_path: Path
+) -> None:
+    """An agent that walks a metre at once, as VLN-Zero does."""
+    path = tmp_path / "strides.json"
+    walks = {task.episode_id: densify(task.gold.path, 1.0).tolist() for task in split_tasks(export, split)}
+    path.write_text(
+        json.dumps({name: [{"position": p, "stop": p is way[-1]} for p in way] for name, way in walks.items()})
+    )
+    assert "steps that no single action can make" in str(evaluate(path, "--strict").exception)
+    assert evaluate(path, "--strict", "--forward-step", 1.0).exception is None
+    for wrong in (0, -1, "nan", "inf"):
+        assert isinstance(evaluate(path, "--forward-step", wrong).exception, UsageError)
+
+
+def test_a_file_of_a_run_that_was_killed_and_started_again(
+    evaluate: Any, split: str, agents: dict[str, Path], tmp_path: Path
+) -> None:
+    whole = json.loads(agents["oracle"].read_text())
+    lines = [
+        json.dumps({"episode_id": float(name), "path": [pose["position"] for pose in poses]})
+        for name, poses in whole.items()
+    ]
+    path = tmp_path / "agent.jsonl"
+    path.write_text("\n".join([*lines, lines[0], lines[1][:-20]]))
+    assert "--duplicates keep-last" in str(evaluate(path).exception)
+    path.write_text("\n".join([*lines[:-1], lines[-1][:-20]]))
+    assert "--allow-partial" in str(evaluate(path).exception)
+    path.write_text("\n".join([*lines, lines[0], lines[1][:-20]]))
+    result = evaluate(path, "--duplicates", "keep-last", "--allow-partial", "--json", "--html", tmp_path / "page")
+    document = json.loads(result.stdout)
+    (row,) = next(table for table in document["tables"] if table["name"] == "main")["rows"]
+    assert row["success"]["mean"] == 1
+    assert len(document["predictions"][0]["notes"]) == 2
+    assert len(document["warnings"]) == 3, "the notes, and that no scenes were named to justify walks in"
+    assert isinstance(evaluate(path, "--duplicates", "first").exception, UsageError)
 
 
 AGENT = """
@@ -213,7 +314,7 @@ def test_ones_own_agent_walks_and_sees(
     monkeypatch.setattr("sys.path", [*sys.path])
     (tmp_path / "seer_agent.py").write_text(AGENT)
     (tmp_path / "run.yaml").write_text(made_run[0].model_dump_json())
-    words = ["walk", str(export), split, "--navmesh-root", str(made_dataset), "--out", "seer.json", "--agent"]
+    words = ["walk", str(export), split, "--data", str(made_dataset), "--out", "seer.json", "--agent"]
     result = runner.invoke(app, [*words, "seer_agent:Seer", "--objects", "run.yaml"])
     assert result.exit_code == 0, result.output
     # a whole turn on the spot: it sees what is about, stops where it began, and reaches nothing
@@ -231,9 +332,13 @@ def test_ones_own_agent_walks_and_sees(
         assert runner.invoke(app, [*words, name]).exit_code != 0
 
 
-def test_help_names_every_agent() -> None:
+def test_help_names_every_agent(export: Path, split: str, made_dataset: Path, tmp_path: Path) -> None:
     told = "".join(runner.invoke(app, ["walk", "--help"]).output.split())  # lines break anywhere
     assert ",".join(AGENTS) in told
+    assert ";looker," in told
+    words = ["walk", str(export), split, "--agent", "nobody", "--out", str(tmp_path / "out.json")]
+    result = runner.invoke(app, [*words, "--data", str(made_dataset)])
+    assert ", ".join([*AGENTS, "looker"]) in str(result.exception)
 
 
 def chunks(page: Path) -> dict[str, Any]:

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from condvln.explorer.chunks import chunk_content
+from condvln.explorer.site import chunk_content
 from condvln.export.tables import FolderTables
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.sources.family import FAMILIES
 from jobs.evaluate import walk_split
 from jobs.explore import Exploration, explore
-from jobs.explore_drift import former_episodes
-from jobs.export_pictures import card_pictures
+from jobs.explore_statistics import former_episodes
+from jobs.export import card_pictures
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import published, snapshot_folder
@@ -171,13 +171,12 @@ def test_the_card_shows_a_plan_of_each_source(export: Path) -> None:
     assert record["pictures"]["pictures/replicacad.svg"] in card
     rows = [line.fields() for path in manifest_paths(export) for line in manifest_lines(path)]
     most = max(len(row["leaves"]) for row in rows)
-    assert data.count(b"<polyline") == most
+    assert data.count(b"<polyline") == most + 1, "the ways to all leaves, and the looking path"
 
 
 def test_licensed_scenes_have_no_picture(monkeypatch: pytest.MonkeyPatch, asked: Exploration, export: Path) -> None:
     licensed = dataclasses.replace(FAMILIES["replicacad"], licensed=True)
     monkeypatch.setitem(FAMILIES, "replicacad", licensed)
-    assert asked.config is not None
     snapshot = published(asked.config)
     tables = FolderTables(snapshot_folder(asked.config.store, snapshot))
     assert [*card_pictures(tables, lambda *_: None, export)] == []

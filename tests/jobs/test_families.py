@@ -11,31 +11,19 @@ import pytest
 from rich.console import Console
 
 from condvln.navigation.navmesh_file import read_navmesh
-from condvln.samples import FAMILIES, make_samples
+from condvln.samples import FAMILIES
 from jobs.generate import run_generate
 from jobs.verify import verify_export
 from jobs.workspace import published
-from schemas.config import Config, InstructionsConfig, SourceConfig
-from schemas.program import CATEGORIES
+from tests.jobs.conftest import made_config, remove
 
 BUILT = {"procthor", "ithor", "robothor"}
 """Families that never ship a navmesh."""
 
 
-def config_of(folder: Path, family: str, scenes: int) -> Config:
-    make_samples(folder / "data", family=family, scenes=scenes, seed=3)
-    return Config(
-        name=family,
-        store=folder / "store",
-        export=folder / "export",
-        sources=(SourceConfig(family=family, root=folder / "data"),),  # type: ignore[arg-type]
-        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 4)),
-    )
-
-
 @pytest.mark.parametrize("family", sorted(FAMILIES))
 def test_a_family_yields_and_is_proven(family: str, tmp_path: Path) -> None:
-    config = config_of(tmp_path, family, 2)
+    config = made_config(tmp_path, family, 2, episodes=4)
     report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
     assert report.exit_code == 0
     snapshot = published(config)
@@ -58,10 +46,8 @@ def test_a_family_yields_and_is_proven(family: str, tmp_path: Path) -> None:
 
 
 def test_without_mesh_navmesh_or_walls_there_are_instructions_and_no_episodes(tmp_path: Path) -> None:
-    config = config_of(tmp_path, "gibson", 2)
-    for pattern in ("*.glb", "*.navmesh"):
-        for path in (tmp_path / "data").rglob(pattern):
-            path.unlink()
+    config = made_config(tmp_path, "gibson", 2, episodes=4)
+    remove(tmp_path / "data", "*.glb", "*.navmesh")
     report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
     assert report.exit_code == 0
     snapshot = published(config)
@@ -76,9 +62,8 @@ def test_without_mesh_navmesh_or_walls_there_are_instructions_and_no_episodes(tm
 
 
 def test_a_scan_with_its_mesh_alone_gets_a_navmesh(tmp_path: Path) -> None:
-    config = config_of(tmp_path, "mp3d", 1)
-    for path in (tmp_path / "data").rglob("*.navmesh"):
-        path.unlink()
+    config = made_config(tmp_path, "mp3d", 1, episodes=4)
+    remove(tmp_path / "data", "*.navmesh")
     assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
     (scene,) = published(config).table("scenes").to_pylist()
     assert scene["navmesh_built"]

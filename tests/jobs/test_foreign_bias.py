@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jobs.foreign_bias import report_bias
+from jobs.bias import report_bias
 from schemas.errors import UsageError
 
 STAY = "If there is a {} in the hall, stop where you are; otherwise, walk to the sofa."

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from jobs.demo import write_samples
 from jobs.navmesh import picture
 from jobs.query import query_target
 from jobs.report import Report
-from jobs.samples import write_samples
 from jobs.show import show_episodes
-from jobs.target import Target
+from jobs.workspace import Target
 from schemas.config import Config
 from schemas.errors import StoreError, UsageError
 
@@ -73,9 +73,10 @@ def files_below(folder: Path) -> list[Path]:
 
 
 def test_output_that_can_not_be_written_is_one_message(tmp_path: Path) -> None:
+    words = ["demo", "--family", "replicacad", "--out", str(tmp_path), "--scenes", "1"]
     with open("/dev/full", "wb") as full:
         run = subprocess.run(
-            [sys.executable, "-c", "from jobs.command import main; main()", "samples", str(tmp_path), "--scenes", "1"],
+            [sys.executable, "-c", "from jobs.command import main; main()", *words],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

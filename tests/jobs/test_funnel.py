@@ -15,18 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from condvln.episodes.rules import REASONS
-from condvln.instructions.rejection import REASONS as DRAWING_REASONS
-from condvln.sources.source import hash_file
+from condvln.episodes.candidates import REASONS
+from condvln.instructions.degeneracy import REASONS as DRAWING_REASONS
 from factory.snapshot import Snapshot
 from jobs.command import app
 from jobs.funnel import Flow, Funnel, funnel_of
 from jobs.generate import run_generate
-from jobs.pipeline import build_pipeline, list_units
 from jobs.report import Report
-from jobs.stages import TextStage
 from jobs.workspace import published
-from schemas.canonical import JSON
 from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsConfig, PlacesConfig
 
 runner = CliRunner()
@@ -45,7 +41,6 @@ def test_numbers_add_up(made_run: Run) -> None:
     config, _ = made_run
     snapshot = published(config)
     funnel = funnel_of(snapshot)
-    assert funnel is not None
     drawn, placed = measured(config, "episodes", "candidates"), measured(config, "episodes", "episodes")
     episodes = Counter(f"replicacad/{scene}" for scene in snapshot.table("episodes")["scene_id"].to_pylist())
     assert set(funnel.scenes) == set(drawn) == set(placed)
@@ -97,9 +92,7 @@ def rejected(scene: str, cell: str, stage: str = "episodes", **counts: int) -> l
 def made_funnel(flows: list[dict[str, object]], *rejections: list[dict[str, object]]) -> Funnel:
     scenes = [{"scene_id": name, "status": "done", "reason": None} for name in ("a", "b")]
     tables = {"scenes": scenes, "funnel": flows, "rejections": [row for rows in rejections for row in rows]}
-    funnel = funnel_of(cast(Snapshot, MadeTables(tables)))
-    assert funnel is not None
-    return funnel
+    return funnel_of(cast(Snapshot, MadeTables(tables)))
 
 
 def test_only_what_binds_a_short_cell_is_its_cause() -> None:
@@ -157,14 +150,12 @@ def test_generate_and_status_tell_it(made_run: Run, tmp_path: Path) -> None:
 def test_a_scene_that_yields_nothing_says_why(dataset: Path, configured: Callable[..., Config]) -> None:
     nowhere = configured(dataset, episodes=EpisodeConfig(distance=(60.0, 70.0)))
     funnel = funnel_of(published_after(nowhere))
-    assert funnel is not None
     assert {name: why.split(":")[0] for name, why in funnel.barren.items()} == dict.fromkeys(
         ["replicacad/made_000", "replicacad/made_001"], "no_start_in_range"
     )
     assert all("no start has every leaf" in why for why in funnel.barren.values())
     narrow = configured(dataset, places=PlacesConfig(island_radius=90.0))
     funnel = funnel_of(published_after(narrow))
-    assert funnel is not None
     for name, flow in funnel.scenes.items():
         assert flow.candidates == 0
         # Where nobody can stand nothing is seen, and nothing is asked.
@@ -198,7 +189,6 @@ def celled(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Conf
 def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:
     snapshot = published(celled)
     funnel = funnel_of(snapshot)
-    assert funnel is not None
     cells = {cell: flow for (_, cell), flow in funnel.cells.items()}
     assert set(cells) == {"chain", "counterfactual groups", "long_chain C0 2 moves", "simple O0 2 moves", BOUNDED}
     crowded = cells["long_chain C0 2 moves"]
@@ -218,7 +208,6 @@ def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:
 def test_a_cell_bounded_in_metres_and_words_holds_nothing_else(celled: Config) -> None:
     snapshot = published(celled)
     funnel = funnel_of(snapshot)
-    assert funnel is not None
     bounded = funnel.cells["replicacad", BOUNDED]
     rows = [
         row for row in snapshot.table("episodes").to_pylist() if row["category"] == "nested" and row["group_id"] is None
@@ -230,19 +219,6 @@ def test_a_cell_bounded_in_metres_and_words_holds_nothing_else(celled: Config) -
         assert 55 <= len(row["instruction_text"].split()) == row["words"] <= 95
     assert bounded.rejected["route_missed"] > 0 < bounded.undrawn["words_missed"]
     assert bounded.candidates == bounded.placed + bounded.rejected.total()
-
-
-def test_wording_is_a_part_of_the_key_of_episodes_only_where_words_are_bounded(celled: Config) -> None:
-    def parameters(config: Config) -> JSON:
-        (unit, *_) = list_units(config, hash_file)
-        (stage,) = [stage for stage in build_pipeline(config).stages if stage.name == "episodes"]
-        return stage.parameters(unit)
-
-    plain = celled.model_copy(update={"instructions": InstructionsConfig()})
-    assert parameters(celled)["wording"] == TextStage.version
-    assert parameters(celled)["text"] == {"preamble": True}
-    assert "wording" not in parameters(plain)
-    assert not {"language", "voices", "length"} & parameters(plain)["instructions"].keys()
 
 
 def test_counterfactual_groups_are_published_whole(celled: Config) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from condvln.export.snapshot import ExportConfig, export_snapshot
+from condvln.export.snapshot import export_snapshot
 from condvln.formats.streams import read_unpacked
 from condvln.labels import vocabulary
 from condvln.manifest import manifest_path, read_manifest
@@ -72,7 +72,7 @@ def test_the_default_is_the_twin_that_the_export_writes(export: Path, split: str
     twin = export / "oracle" / split / f"{split}.json.gz"
     written = twin.read_bytes()
     twin.unlink()
-    result = runner.invoke(app, ["oracle", str(export), split, "--json"])
+    result = runner.invoke(app, ["export", str(export), split, "--oracle", "--json"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["files"][0] == str(twin)
     assert twin.read_bytes() == written
@@ -101,7 +101,7 @@ def test_another_seed_tells_it_in_other_words(export: Path, split: str, tmp_path
 
 
 def test_shards_are_rewritten_each(tmp_path: Path) -> None:
-    export_snapshot(made_snapshot(), tmp_path, ExportConfig(SplitsConfig(sharded=True)))
+    export_snapshot(made_snapshot(), tmp_path, SplitsConfig(sharded=True))
     report = oracle_split(tmp_path, "train")
     shards = sorted((tmp_path / "vlnce" / "train" / "content").glob("*.json.gz"))
     assert shards

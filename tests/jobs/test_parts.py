@@ -13,12 +13,11 @@ from rich.console import Console
 
 from condvln.samples import make_samples
 from factory.executor import InlineExecutor
-from factory.local_store import LocalStore
 from factory.run import run
+from factory.store import LocalStore
 from jobs.export import export_snapshot_of
 from jobs.generate import run_generate
-from jobs.listing import listed_units
-from jobs.pipeline import build_pipeline
+from jobs.pipeline import build_pipeline, listed_units
 from jobs.show import _first, show_episodes
 from jobs.verify import verify_export
 from jobs.workspace import published

@@ -9,21 +9,18 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from factory import LocalStore, RunReport
-from factory.auto_executor import AutoExecutor
 from factory.executor import InlineExecutor
-from factory.heartbeat import Busy
-from factory.process_executor import ProcessExecutor
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt, StageReceipt
-from factory.report import Silence
-from jobs.generate import open_executor
-from jobs.progress import LOGS, LoggedRun, RunProgress
-from schemas.config import Config, RayConfig, SourceConfig
+from factory.report import Busy, Progress, RunReport
+from factory.store import LocalStore
+from jobs.executor import SMALL_SECONDS, open_executor, place_of_work
+from jobs.progress import LOGS, LoggedRun, RunProgress, readable
+from schemas.config import RayConfig
 from schemas.errors import StoreError
 
 
-class Noted(Silence):
+class Noted(Progress):
     """Keeps what a person would be told."""
 
     def __init__(self) -> None:
@@ -41,8 +38,8 @@ def test_a_stopped_run_leaves_its_log_on_this_machine(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store")
 
     def stopped() -> None:
-        with LoggedRun(store, tmp_path / "state", Silence()) as log:
-            log.progress.note("under way")
+        with LoggedRun(store, tmp_path / "state", Progress()) as log:
+            log.note("under way")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -57,7 +54,7 @@ def test_a_stopped_run_leaves_its_log_on_this_machine(tmp_path: Path) -> None:
 def test_a_finished_run_has_its_log_under_the_name_of_its_record(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store")
     for record in ("runs/20260101T000000Z-abc.json", ""):
-        with LoggedRun(store, tmp_path / "state", Silence()) as log:
+        with LoggedRun(store, tmp_path / "state", Progress()) as log:
             log.keep(RunReport(record=record, exit_code=3))
     assert [entry.path for entry in store.list("")] == ["logs/20260101T000000Z-abc.jsonl"]
     (line,) = lines(store.read("logs/20260101T000000Z-abc.jsonl").decode())
@@ -83,12 +80,17 @@ def done(unit_id: str, expected: float, took: float) -> Receipt:
     return Receipt(unit_id, "a", "ok", "", key, (stage,), expected=expected)
 
 
+def test_durations_are_readable() -> None:
+    said = [readable(s) for s in (0.4, 89.4, 90, 3000, 5400, 12_000)]
+    assert said == ["0 s", "89 s", "2 min", "50 min", "1 h 30 min", "3 h 20 min"]
+
+
 def test_a_log_says_what_is_left_and_which_unit_takes_long() -> None:
     text = io.StringIO()
     with RunProgress(Console(file=text, width=200)) as progress:
         progress.phase("units", 4, 400.0, workers=2)
         progress.unit(done("a/1", 100.0, 100.0))
-        progress.busy(Busy("a/2", "count", 31.0), "a/2: at stage count for 31 s")
+        progress.busy(Busy("a/2", "count", 31.0))
         progress.unit(done("a/2", 100.0, 300.0))
         for name in ("a/3", "a/4"):
             progress.unit(done(name, 100.0, 200.0))
@@ -102,30 +104,46 @@ def test_a_log_says_what_is_left_and_which_unit_takes_long() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ray", "inline", "kind"),
+    ("ray", "inline", "environment", "kind", "workers", "said"),
     [
-        ({}, False, AutoExecutor),
-        ({"workers": 1}, False, ProcessExecutor),
-        ({"workers": 2}, False, ProcessExecutor),
-        ({"workers": 2, "address": "local"}, False, RayExecutor),
-        ({"address": "auto"}, False, RayExecutor),
-        ({"workers": 3, "address": "auto"}, False, RayExecutor),
-        ({"workers": 2}, True, InlineExecutor),
-        ({"workers": 2, "address": "auto"}, True, InlineExecutor),
+        ({}, False, "", RayExecutor, 4, "by 4 workers of a Ray on this machine"),
+        ({"workers": 1}, False, "", InlineExecutor, 1, "in this process (ray.workers is 1)"),
+        ({"workers": 2}, False, "", RayExecutor, 2, "by 2 workers of a Ray on this machine"),
+        ({"workers": 2, "address": "local"}, False, "h:1", RayExecutor, 2, "by 2 workers of a Ray on this machine"),
+        ({"workers": 3, "address": "auto"}, False, "", RayExecutor, 3, "on the Ray cluster at auto (ray.address)"),
+        ({"workers": 3}, False, "h:1", RayExecutor, 3, "at h:1 (environment variable RAY_ADDRESS)"),
+        ({"workers": 1}, False, "h:1", RayExecutor, 1, "at h:1 (environment variable RAY_ADDRESS)"),
+        ({"workers": 2}, True, "", InlineExecutor, 1, "in this process (--inline)"),
+        ({"workers": 2, "address": "auto"}, True, "h:1", InlineExecutor, 1, "in this process (--inline)"),
     ],
 )
 def test_the_executor_is_the_one_configured(
-    ray: dict[str, object], inline: bool, kind: type[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ray: dict[str, object],
+    inline: bool,
+    environment: str,
+    kind: type[object],
+    workers: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("jobs.generate._ray_is_up", lambda: False)  # other tests of this process may have started one
-    config = Config(
-        name="x",
-        store=tmp_path,
-        sources=(SourceConfig(family="ithor", root=tmp_path),),
-        ray=RayConfig.model_validate(ray),
-    )
-    said: list[str] = []
-    with open_executor(config.ray, inline, said.append) as executor:
+    monkeypatch.setattr("jobs.executor.cores", lambda: 4)
+    monkeypatch.setattr("factory.machine.cores", lambda: 4)
+    monkeypatch.setenv("RAY_ADDRESS", environment)
+    configured = RayConfig.model_validate(ray)
+    assert said in place_of_work(configured, 1000.0, inline=inline)[1]
+    with open_executor(configured, inline=inline) as executor:
         assert type(executor) is kind
-        if isinstance(executor, RayExecutor | ProcessExecutor) and "workers" in ray:
-            assert executor.workers == ray["workers"]
+        assert executor.workers == workers
+
+
+def test_small_work_stays_in_this_process_unless_workers_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jobs.executor.cores", lambda: 4)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    chosen, said = place_of_work(RayConfig(), SMALL_SECONDS - 1)
+    assert not chosen
+    assert "Ray takes about ten seconds to start" in said
+    assert place_of_work(RayConfig(), SMALL_SECONDS + 1)[0]
+    assert place_of_work(RayConfig(workers=2), 0.1)[0]
+    assert place_of_work(RayConfig(address="auto"), 0.1)[0]
+    monkeypatch.setattr("jobs.executor.cores", lambda: 1)
+    assert place_of_work(RayConfig(), 1000.0) == (False, "the work is done in this process (this machine has one core)")

@@ -15,10 +15,9 @@ from typer.testing import CliRunner
 from factory.object_store import ObjectStore
 from factory.snapshot import Snapshot
 from jobs.command import app
-from jobs.named_queries import QUERIES, VIEWS
-from jobs.query import connect, list_queries, query_target
+from jobs.query import QUERIES, VIEWS, connect, list_queries, query_target
 from jobs.report import Report
-from jobs.target import Target
+from jobs.workspace import Target
 from schemas.config import Config
 from schemas.errors import UsageError
 from schemas.tables import TABLES
@@ -48,6 +47,24 @@ def test_tables_hold_what_the_snapshot_does(target: Target, snapshot: Snapshot) 
         assert found["n"] == snapshot.manifest.tables[name].rows
         columns = rows(target, f"DESCRIBE {name}")
         assert {column["column_name"] for column in columns} == {*schema.names, "source"}
+
+
+def test_people_read_wide_rows_as_lines_and_ids_as_ids(target: Target) -> None:
+    """A row of many columns becomes a table of its own; the document for scripts has the values as they are."""
+    report = query_target(target, "SELECT * FROM episodes LIMIT 2")
+    assert [section.title for section in report.sections] == ["row 1", "row 2"]
+    for section, row in zip(report.sections, report.document["rows"], strict=True):
+        assert [name for name, _ in section.rows] == report.document["columns"]
+        nested = [k for k, value in enumerate(row) if isinstance(value, list | dict)]
+        assert all(len(section.rows[k][1]) <= 200 for k in nested)
+        assert any(section.rows[k][1].endswith(" …") for k in nested)
+        number = row[report.document["columns"].index("episode_id")]
+        assert isinstance(number, int)
+        assert dict(section.rows)["episode_id"] == str(number)
+    narrow = query_target(target, "SELECT episode_id, 12345 AS n FROM episodes LIMIT 2")
+    (table,) = narrow.sections
+    assert [row[1] for row in table.rows] == [12345, 12345]
+    assert [row[0] for row in table.rows] == [str(row[0]) for row in narrow.document["rows"]]
 
 
 def test_leaves_and_conditions_are_the_nested_ones_one_by_one(target: Target, snapshot: Snapshot) -> None:
@@ -199,3 +216,27 @@ def test_the_cookbook_shows_every_named_query_and_view(target: Target) -> None:
     assert all(f"`{name}`" in text for name in (*QUERIES, *VIEWS))
     with connect(target) as connection:
         assert connection.execute("SELECT count(*) FROM leaves").fetchone() is not None
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "-- all episodes\nSELECT count(*) AS n FROM episodes",
+        "--all=of them\nSELECT count(*) AS n FROM episodes",
+        "-- ref = main, out\n-- json\nSELECT count(*) AS n FROM episodes -- all",
+        "/* all */ SELECT count(*) AS n FROM episodes",
+        "--json \nSELECT count(*) AS n FROM episodes",
+    ],
+)
+@pytest.mark.parametrize("end", [True, False], ids=["options before", "options after"])
+def test_sql_may_begin_with_a_comment(made_run: tuple[Config, Report], snapshot: Snapshot, sql: str, end: bool) -> None:
+    words = [str(made_run[0].store), *([sql, "--json"] if end else ["--json", sql])]
+    result = CliRunner().invoke(app, ["query", *words])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["rows"] == [[snapshot.manifest.tables["episodes"].rows]]
+
+
+def test_an_unknown_option_is_still_an_error(made_run: tuple[Config, Report]) -> None:
+    result = CliRunner().invoke(app, ["query", str(made_run[0].store), "SELECT 1", "--jsn"])
+    assert result.exit_code == 2
+    assert "No such option" in result.output

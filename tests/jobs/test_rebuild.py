@@ -20,10 +20,12 @@ from jobs.generate import run_generate
 from jobs.progress import RunProgress
 from jobs.rebuild import run_rebuild
 from jobs.report import Report
-from jobs.status import report_status
+from jobs.status import target_status
 from jobs.watch import Watch
-from jobs.workspace import CACHE_VARIABLE, open_store
+from jobs.workspace import CACHE_VARIABLE, Target, open_store
 from schemas.config import Config, InstructionsConfig, KeepConfig, SourceConfig, SplitsConfig
+
+UNCHANGED = "no name, size or time of a file changed"
 
 
 def configuration(folder: Path, **changes: object) -> Config:
@@ -53,10 +55,8 @@ def first(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
 
 
 @pytest.fixture
-def corpus(first: tuple[Config, Report], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
+def corpus(first: tuple[Config, Report], tmp_path: Path) -> Config:
     """A copy of it to change, without an export."""
-    # These scenes are too small for compiling ahead.
-    monkeypatch.setattr("jobs.warm_up.load_kernels", lambda *arguments, **settings: None)
     config, _ = first
     for name in ("dataset", "store"):
         shutil.copytree(folder_of(config).parent / name, tmp_path / name)
@@ -107,11 +107,11 @@ def test_the_first_rebuild_publishes_exports_and_leaves_a_log(first: tuple[Confi
 def test_nothing_to_do_ends_at_once_and_says_so(corpus: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {path: data for path, data in files(folder_of(corpus)).items() if not path.startswith(".")}
     # By contents, and then by times alone, when nothing is even listed.
-    for said in ("2 scenes are as published", "no file changed since"):
+    for said in ("2 scenes are as published", UNCHANGED):
         report = rebuild(corpus)
         assert (report.exit_code, report.document["changed"]) == (0, False)
         assert said in report.lines[0]
-        monkeypatch.setattr("jobs.listing.listed_units", None)
+        monkeypatch.setattr("jobs.pipeline.listed_units", None)
     after = {path: data for path, data in files(folder_of(corpus)).items() if not path.startswith(".")}
     assert after == before, "neither record nor log"
 
@@ -128,7 +128,7 @@ def test_looking_whether_anything_changed_loads_no_science(corpus: Config, tmp_p
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     said, loaded = done.stdout.strip().splitlines()
-    assert ("no file changed" in said, loaded) == (True, "[]")
+    assert (UNCHANGED in said, loaded) == (True, "[]")
 
 
 def test_one_changed_scene_is_redone_alone(corpus: Config) -> None:
@@ -136,7 +136,7 @@ def test_one_changed_scene_is_redone_alone(corpus: Config) -> None:
     # Touched, yet the same bytes: read once more, and then trusted again.
     os.utime(scene_file(corpus, "made_000"), (time.time() - 30, time.time() - 30))
     assert "as published" in rebuild(corpus).lines[0]
-    assert "no file changed" in rebuild(corpus).lines[0]
+    assert UNCHANGED in rebuild(corpus).lines[0]
     change(corpus)
     report = rebuild(corpus)
     assert report.document["plan"] == {"counts": {"FRESH": 1, "STALE": 1}, "reasons": {"data": 1}}
@@ -165,7 +165,7 @@ def test_an_export_is_written_again_when_it_is_lost_cut_or_asked_for_otherwise(
     whole = files(first[0].export)
     assert rebuild(wanted).document["export"]
     assert files(tmp_path / "export") == whole
-    assert "no file changed" in rebuild(wanted).lines[0]
+    assert UNCHANGED in rebuild(wanted).lines[0]
     (tmp_path / "export" / "README.md").write_text("cut")
     report = rebuild(wanted)
     assert (report.exit_code, report.document["published"]) == (0, False)
@@ -175,16 +175,21 @@ def test_an_export_is_written_again_when_it_is_lost_cut_or_asked_for_otherwise(
     assert other.document["export"]["episodes"] != report.document["export"]["episodes"]
 
 
-def test_a_quarantined_scene_is_told_once_and_then_waited_for(corpus: Config) -> None:
+def test_a_quarantined_scene_is_said_by_every_rebuild_until_it_is_corrected(corpus: Config) -> None:
     path = scene_file(corpus, "made_001")
     sound = path.read_bytes()
     path.write_bytes(sound[: len(sound) // 2])
     settle(corpus.sources[0].root)
     assert rebuild(corpus).exit_code == 3
-    again = rebuild(corpus)
-    assert (again.exit_code, again.document["changed"], again.document["quarantined"]) == (0, False, 1)
-    assert "quarantine" in again.lines[1]
-    (record,) = report_status(corpus).document["quarantine"]
+    # By contents, by times alone, without --if-changed, with every file read again, and as often as it is asked.
+    for how in ({}, {}, {"if_changed": False}, {"verify": True}, {}):
+        again = run_rebuild(corpus, inline=True, **{"if_changed": True, **how})
+        assert (again.exit_code, again.document["changed"], again.document["quarantined"]) == (3, False, 1)
+        (line,) = again.lines
+        assert "nothing to do" in line
+        assert "1 still in quarantine" in line
+    assert run_generate(corpus, inline=True).exit_code == 3
+    (record,) = target_status(Target.of(corpus)).document["quarantine"]
     assert (record["unit_id"], record["attempts"], record["cause"]) == ("replicacad/made_001", 1, "input")
     # Tried again when someone asks, and when it is corrected.
     assert rebuild(corpus, retry_quarantined=True).exit_code == 3
@@ -192,7 +197,7 @@ def test_a_quarantined_scene_is_told_once_and_then_waited_for(corpus: Config) ->
     settle(corpus.sources[0].root)
     corrected = rebuild(corpus)
     assert (corrected.exit_code, corrected.document["counts"]["ok"]) == (0, 2)
-    assert report_status(corpus).document["quarantine"] == []
+    assert target_status(Target.of(corpus)).document["quarantine"] == []
 
 
 @pytest.mark.soak
@@ -226,7 +231,7 @@ def test_priors_are_renewed_when_asked(corpus: Config) -> None:
 
 
 def test_a_damaged_published_file_is_mended_when_asked(corpus: Config) -> None:
-    path = Snapshot.open(open_store(corpus), "made").local_paths("objects")[0]
+    path = corpus.store / Snapshot.open(open_store(corpus), "made").paths("objects")[0]
     good = path.read_bytes()
     path.write_bytes(good[:50] + b"?" + good[51:])
     assert rebuild(corpus, verify=True).exit_code == 0
@@ -286,9 +291,62 @@ def test_an_object_store_holds_and_exports_the_same(
     assert (done.exit_code, done.document["snapshot_id"]) == (0, report.document["snapshot_id"])
     assert config.export is not None
     assert files(tmp_path / "export") == files(config.export)
-    assert "no file changed" in rebuild(away).lines[0]
+    assert UNCHANGED in rebuild(away).lines[0]
     assert len([*open_store(away).list("logs")]) == len([*open_store(away).list("runs")]) == 1
     assert not [*(tmp_path / "cache").rglob("*.jsonl")], "the log moved to the store"
+
+
+def same_size_and_time(path: Path, data: bytes) -> None:
+    """Write other bytes of the same length, and leave the file's times as they are."""
+    stat = path.stat()
+    assert len(data) == stat.st_size
+    path.write_bytes(data)
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+
+
+def test_verify_finds_other_bytes_of_the_same_size_and_time_in_a_source(corpus: Config) -> None:
+    rebuild(corpus)
+    path = scene_file(corpus, "made_001")
+    before = path.read_bytes()
+    document = json.loads(before)
+    document["object_instances"].pop()
+    changed = json.dumps(document).encode()
+    same_size_and_time(path, changed + b" " * (len(before) - len(changed)))
+    unseen = rebuild(corpus)
+    assert UNCHANGED in unseen.lines[0], "what --if-changed compares, it says"
+    seen = run_rebuild(corpus, inline=True, verify=True)
+    assert seen.document["plan"] == {"counts": {"FRESH": 1, "STALE": 1}, "reasons": {"data": 1}}
+    assert (seen.document["counts"]["made"], seen.document["published"]) == (1, True)
+    # The new hash is what is known from now on.
+    assert "as published" in run_rebuild(corpus, inline=True).lines[0]
+    same_size_and_time(path, before)
+    assert run_rebuild(corpus, inline=True, verify=True).document["counts"]["reused"] == 1
+    assert Snapshot.open(open_store(corpus), "made").snapshot_id != seen.document["snapshot_id"]
+
+
+def test_verify_writes_an_export_again_whose_bytes_differ(
+    corpus: Config, first: tuple[Config, Report], tmp_path: Path
+) -> None:
+    wanted = corpus.model_copy(update={"export": tmp_path / "export"})
+    rebuild(wanted)
+    whole = files(tmp_path / "export")
+    path = tmp_path / "export" / "README.md"
+    same_size_and_time(path, b"?" + whole["README.md"][1:])
+    assert UNCHANGED in rebuild(wanted).lines[0]
+    assert run_rebuild(wanted, inline=True, verify=True).exit_code == 0
+    assert files(tmp_path / "export") == whole
+
+
+def test_a_refused_export_is_said_by_every_rebuild(corpus: Config, tmp_path: Path) -> None:
+    for path in (tmp_path / "export", tmp_path / "state"):
+        path.mkdir()
+    (tmp_path / "export" / "export.json").write_text('{"files": {}, "snapshot": "s"}')
+    wanted = corpus.model_copy(update={"export": tmp_path / "export"})
+    store = open_store(wanted)
+    assert Watch(wanted, store, tmp_path / "state").remember("s", 0, "the bias gate refuses it") != ""
+    for _ in range(2):  # an export that is not written again keeps its verdict
+        assert Watch(wanted, store, tmp_path / "state").remember("s", 0) == "the bias gate refuses it"
+    assert Watch(wanted, store, tmp_path / "state").remember("s", 0, "") == ""
 
 
 @pytest.mark.parametrize("beside", [False, True])

@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import duckdb
 import pytest
 import yaml
 
@@ -54,6 +55,11 @@ def test_killed_driver(way: str, tmp_path: Path) -> None:
     before = committed(tmp_path, "killed")
     assert 1 <= before < SCENES, "the kill came in time"
     assert not (tmp_path / "killed-store" / "refs").exists() or not list((tmp_path / "killed-store" / "refs").iterdir())
+    # What is committed is there for any tool, although nothing is published.
+    tables = tmp_path / "killed-store" / "units" / "**" / "relations.parquet"
+    (row,) = duckdb.sql(f"SELECT count(*), count(DISTINCT scene_id) FROM '{tables}'").fetchall()
+    assert row[0] > 0
+    assert 1 <= row[1] <= SCENES
     again = run_generate(load_config(path, environment={}), inline=True)
     assert again.exit_code == 0
     assert again.document["snapshot_id"] == clean.document["snapshot_id"]

@@ -1,4 +1,4 @@
-"""``condvln samples``: every form it makes is a source that a configuration can name, as it says."""
+"""``condvln demo --family``: every form it makes is a source that a configuration can name, as it says."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def ran(*words: str) -> Any:
 
 
 def sampled(form: str, folder: Path) -> dict[str, Any]:
-    return dict(ran("samples", str(folder), "--family", form, "--scenes", str(SCENES), "--seed", "3"))
+    return dict(ran("demo", "--out", str(folder), "--family", form, "--scenes", str(SCENES), "--seed", "3"))
 
 
 @pytest.mark.parametrize("form", sorted(FORMS))
@@ -72,9 +72,9 @@ def test_habitats_procthor_goes_the_whole_way(tmp_path: Path) -> None:
 
 
 def test_what_it_refuses(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["samples", str(tmp_path / "x"), "--family", "scannet"])
+    result = CliRunner().invoke(app, ["demo", "--out", str(tmp_path / "x"), "--family", "scannet"])
     assert isinstance(result.exception, UsageError)
     assert f"Choose one of: {', '.join(sorted(FORMS))}" in str(result.exception)
     assert not (tmp_path / "x").exists()
-    said = CliRunner().invoke(app, ["samples", "--help"], terminal_width=1000).output
+    said = CliRunner().invoke(app, ["demo", "--help"], terminal_width=1000).output
     assert all(form in said for form in FORMS)

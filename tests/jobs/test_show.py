@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from condvln.samples import make_samples
 from jobs.generate import run_generate
 from jobs.report import Report
-from jobs.show import show_episodes, spread
-from jobs.show_export import show_export
+from jobs.show import show_episodes, show_export, spread
 from jobs.workspace import published
 from schemas.config import Config, SourceConfig
 from schemas.errors import FormatError, MissingFileError, UsageError
@@ -122,7 +121,7 @@ def test_an_instruction_is_shown_by_its_id(half_placed: Config) -> None:
 
 
 def test_pictures_need_the_navmesh_alone(export: Path, made_dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="--navmesh-root"):
+    with pytest.raises(MissingFileError, match="--data DIR"):
         show_export(export, picture=tmp_path)
     name = show_export(export, picture=tmp_path, roots=(made_dataset,)).document["episodes"][0]["episode_id"]
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -135,11 +134,17 @@ def test_what_is_no_export_is_said(export: Path, tmp_path: Path) -> None:
         show_export(export, episode="nowhere")
     (tmp_path / "manifest").mkdir()
     manifest = tmp_path / "manifest" / "train.jsonl"
-    for line, says in ('{"category": 1}', "not a manifest row"), ("[]", "not a JSON object"), ("{", "line 1"):
+    old = '{"category": "simple", "source": "made", "episode_id": "1"}'
+    for line, says in (
+        (old, "episode_id: .*Export the split again"),
+        ('{"category": 1}', "not a manifest row"),
+        ("[]", "not a JSON object"),
+        ("{", "line 1"),
+    ):
         manifest.write_text(line + "\n")
         with pytest.raises(FormatError, match=says):
             show_export(tmp_path)
-    manifest.write_text('{"category": "simple", "source": "made", "episode_id": "a"}\n')
+    manifest.write_text('{"category": "simple", "source": "made", "episode_id": 1, "episode_hash": "a"}\n')
     with pytest.raises(FormatError, match="line 1: instruction_id"):
         show_export(tmp_path)
     manifest.write_text("")

@@ -10,16 +10,18 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from factory.local_store import LocalStore
+from factory.commits import sealed
+from factory.store import LocalStore
 from jobs.command import app
 from jobs.generate import run_generate
 from jobs.plan import make_plan
 from jobs.report import Report
 from jobs.show import show_episodes
-from jobs.status import report_status, target_status
-from jobs.target import Target, find_target
+from jobs.status import target_status
+from jobs.workspace import Target, find_target
 from schemas.config import Config
 from schemas.errors import UsageError
+from schemas.snapshot import Ref
 
 runner = CliRunner()
 
@@ -72,7 +74,7 @@ def test_a_failure_shows_its_cause_and_attempts(
     path = dataset / "configs" / "scenes" / "made_001.scene_instance.json"
     path.write_bytes(path.read_bytes()[:200])
     assert run_generate(config, inline=True).exit_code == 3
-    report = report_status(config)
+    report = target_status(Target.of(config))
     (record,) = report.document["quarantine"]
     assert (record["unit_id"], record["attempts"], record["cause"]) == (BROKEN, 1, "input")
     assert "made_001.scene_instance.json" in record["message"]
@@ -92,7 +94,8 @@ def test_a_store_with_several_names_says_which_there_are(made_run: tuple[Config,
     shutil.copytree(config.store, tmp_path / "store")
     ref = tmp_path / "store" / "refs" / "made.json"
     document = json.loads(ref.read_text())
-    (tmp_path / "store" / "refs" / "other.json").write_text(json.dumps({**document, "name": "other", "checksum": None}))
+    other = sealed(Ref(**{**document, "name": "other"}))
+    (tmp_path / "store" / "refs" / "other.json").write_bytes(other)
     shutil.copy(
         tmp_path / "store" / "pins" / "condvln" / "made.json", tmp_path / "store" / "pins" / "condvln" / "other.json"
     )

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from condvln.samples import make_samples
-from jobs.listing import listed_units
+from jobs.pipeline import listed_units
 from jobs.rebuild import run_rebuild
 from jobs.report import Report
-from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config import Config
 from schemas.errors import CondVLNError
+from tests.jobs.conftest import made_config
 from tests.jobs.damaged_store import DAMAGES, KINDS, READERS, VERBS, Built, settle, told
 
 QUICK = {"plan", "status", "query"}
@@ -42,18 +42,10 @@ outcomes: Counter[tuple[str, str]] = Counter()
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Built]:
     """Two made houses whose navmeshes are built, published twice and exported."""
     folder = tmp_path_factory.mktemp("matrix")
-    make_samples(folder / "dataset", family="procthor", scenes=2, seed=3)
-    settle(folder / "dataset")
-    config = Config(
-        name="made",
-        store=folder / "none",
-        sources=(SourceConfig(family="procthor", root=folder / "dataset"),),
-        instructions=InstructionsConfig(per_category={"simple": 2}),
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jobs.warm_up.load_kernels", lambda *arguments, **settings: None)
-        scenes = [unit.unit_id.split("/", 1)[1] for unit in listed_units(config)]
-        yield Built.make(folder, config, scenes)
+    config = made_config(folder, "procthor", 2, episodes={"simple": 2}, name="made", store=folder / "none")
+    settle(folder / "data")
+    scenes = [unit.unit_id.split("/", 1)[1] for unit in listed_units(config)]
+    yield Built.make(folder, config, scenes)
     print(f"\nstore matrix: {sum(outcomes.values())} cases here")
     for (kind, outcome), count in sorted(outcomes.items()):
         print(f"  {kind:15s} {outcome:12s} {count}")

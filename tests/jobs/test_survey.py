@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from condvln.samples import FAMILIES, make_samples
-from condvln.sources.downloads import downloads, look_for
+from condvln.sources.family import downloads, look_for
 from condvln.sources.registry import READERS, open_source
-from jobs.scene_yield import scene_yield
-from jobs.survey import survey_source
-from schemas.config import AgentConfig
+from jobs.sources import scene_yield, survey, survey_source
+from schemas.config import AgentConfig, Config, SourceConfig
+from schemas.errors import ConfigError
 
 NO_MESH = {"procthor", "ithor", "robothor"}
 
@@ -123,3 +123,23 @@ def test_what_a_nameless_object_blocks_is_counted(tmp_path: Path) -> None:
     assert found.nameless == 1
     assert found.blocked > plain.blocked > 0  # a vase may be called a bowl, and so on
     assert found.absence < plain.absence or plain.rooms > 1
+
+
+def test_a_source_that_yields_nothing_readable_ends_with_an_error(tmp_path: Path) -> None:
+    make_samples(tmp_path / "a", family="procthor", scenes=2, seed=1)
+    make_samples(tmp_path / "b", family="ithor", scenes=2, seed=1)
+    sources = tuple(
+        SourceConfig(family=family, root=tmp_path / name) for name, family in (("a", "procthor"), ("b", "ithor"))
+    )
+    config = Config(name="t", store=tmp_path / "store", sources=sources, export=None)
+    assert survey(config).exit_code == 0
+    files = sorted((tmp_path / "b").glob("*.json"))
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+    files[0].write_text(pointer)
+    assert survey(config).exit_code == 0
+    for file in files:
+        file.write_text(pointer)
+    report = survey(config)
+    assert report.exit_code == ConfigError.exit_code
+    assert f"files of {len(files)} of {len(files)} scenes were not downloaded" in report.document["sources"][1]["error"]
+    assert "git lfs pull" in report.document["sources"][1]["error"]

@@ -11,12 +11,15 @@ import pytest
 from typer.testing import CliRunner
 
 from condvln.formats.streams import read_unpacked
+from condvln.navigation.graph_pathfinder import read_connectivity
+from condvln.samples import make_samples
 from jobs.command import app
 from jobs.export import export_snapshot_of
 from jobs.report import Report
 from jobs.validate import validate_files
 from jobs.verify import verify_export
 from schemas.config import Config
+from schemas.errors import UsageError
 
 runner = CliRunner()
 
@@ -92,6 +95,23 @@ def test_a_scene_path_leads_to_no_file_outside(export: Path, tmp_path: Path, sce
     assert scene in validate_files(path, (tmp_path,)).navmeshes.lacking
 
 
+def test_what_was_checked_is_said_and_what_is_not_there(export: Path, tmp_path: Path) -> None:
+    """An export of texts alone holds its record and no episode; a folder of somebody else's is refused."""
+    said = validate_files(export).as_text()
+    # VLN-CE has direct paths, looking paths and the oracle twin; ANSR-v1 the first two.
+    stock = [json.loads(read_unpacked(path)) for path in export.glob("[vo]*/*/*.json.gz") if "_gt." not in path.name]
+    count = sum(len(one["episodes"]) for one in stock)
+    assert f" files with {count:,} episodes of VLN-CE, {count * 2 // 3:,} of ANSR-v1, " in said
+    (tmp_path / "origin.json").write_text("{}")
+    report = validate_files(tmp_path)
+    assert report.exit_code == 0
+    assert "checked: nothing, as the export has no file of episodes or paths" in report.as_text()
+    assert "texts without an episode, which are in the store alone" in report.as_text()
+    (tmp_path / "origin.json").unlink()
+    with pytest.raises(UsageError, match="no VLN-CE"):
+        validate_files(tmp_path)
+
+
 def test_command_prints_a_line_a_finding_and_ends_with_three(export: Path, tmp_path: Path) -> None:
     names = []
 
@@ -101,12 +121,12 @@ def test_command_prints_a_line_a_finding_and_ends_with_three(export: Path, tmp_p
         del episode["trajectory_id"]
 
     path = spoiled(export, tmp_path / "theirs.json.gz", extend)
-    result = runner.invoke(app, ["export", "--validate", str(path)])
+    result = runner.invoke(app, ["verify", str(path), "--lint"])
     assert result.exit_code == 3
     lines = result.stdout.splitlines()
     assert f"theirs.json.gz: episode {names[0]}.gold_leaf: error [unknown-key] unknown key 'gold_leaf'" in lines
     assert "2 errors, 0 warnings" in lines
-    records = runner.invoke(app, ["export", "--validate", str(path), "--json"])
+    records = runner.invoke(app, ["verify", str(path), "--lint", "--json"])
     assert records.exit_code == 3
     document = json.loads(records.stdout)
     assert document["exit_code"] == 3
@@ -118,15 +138,15 @@ def test_command_prints_a_line_a_finding_and_ends_with_three(export: Path, tmp_p
 
 
 def test_command_passes_what_is_sound(real_data: Path) -> None:
-    result = runner.invoke(app, ["export", "--validate", str(real_data / "vlnce")])
+    result = runner.invoke(app, ["verify", str(real_data / "vlnce"), "--lint"])
     assert result.exit_code == 0
     assert "0 errors, 1 warnings" in result.stdout
-    r2r = ["export", "--validate", str(real_data / "mp3d" / "R2R_sample.json")]
+    r2r = ["verify", str(real_data / "mp3d" / "R2R_sample.json"), "--lint"]
     assert runner.invoke(app, [*r2r, "--connectivity", str(real_data / "mp3d" / "connectivity")]).exit_code == 0
 
 
 def test_nothing_checked_is_no_success(tmp_path: Path) -> None:
-    for words in (["export", "--validate", str(tmp_path)], ["export", "--validate", str(tmp_path / "no")], ["export"]):
+    for words in (["verify", str(tmp_path), "--lint"], ["verify", str(tmp_path / "no"), "--lint"], ["export"]):
         result = runner.invoke(app, words)
         assert result.exit_code != 0
 
@@ -140,3 +160,23 @@ def test_certificates_beside_the_episodes_are_no_episodes(
     assert verify_export(config, tmp_path).exit_code == 0
     assert (tmp_path / "certificates" / "summary.json").is_file()
     assert validate_files(tmp_path, [made_dataset]).as_json() == before.as_json()
+
+
+def test_how_many_paths_were_checked_along_a_graph_is_said(tmp_path: Path) -> None:
+    """R2R's own files: a scan without a graph is no silent pass, and a path off the edges is an error."""
+    make_samples(tmp_path / "mp3d", family="mp3d", scenes=1, seed=3)
+    (file,) = (tmp_path / "mp3d").rglob("*_connectivity.json")
+    graph = read_connectivity(file)
+    one, other = (graph.ids[k] for k in graph.edges[0])
+    item = {"scan": file.name.removesuffix("_connectivity.json"), "heading": 1.0, "instructions": ["Go."]}
+    item |= {"path_id": 1, "path": [one, other], "distance": round(float(graph.lengths[0]), 2)}
+    path = tmp_path / "R2R_theirs.json"
+    path.write_text(json.dumps([item, item | {"path_id": 2, "scan": "elsewhere"}]))
+    report = validate_files(path, graphs=[file.parent])
+    assert report.exit_code == 0
+    assert "1 paths of 1 scans checked along their scan's graph" in report.as_text()
+    assert "1 paths of 1 scans not checked along a graph, such as elsewhere" in report.as_text()
+    assert report.as_json()["graphs"] == {"checked": {item["scan"]: 1}, "lacking": {"elsewhere": 1}}
+    assert "2 paths of 2 scans not checked" in validate_files(path).as_text()
+    path.write_text(json.dumps([item | {"distance": item["distance"] + 0.1}]))
+    assert validate_files(path, graphs=[file.parent]).exit_code == 3

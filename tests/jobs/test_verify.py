@@ -127,7 +127,7 @@ def test_a_cut_file_is_one_fault_more_and_no_traceback(made: Config, folder: Pat
     path.write_bytes(path.read_bytes()[:-20])
     found = faults(made, folder)
     assert any(fault.startswith(f"vlnce/{split}/{split}.json.gz: has") for fault in found)
-    assert re.match(rf"vlnce/{split}/{split}.json.gz: .*(damaged gzip|gzip file is damaged)", found[-1])
+    assert found[-1].startswith(f"vlnce/{split}/{split}.json.gz: the gzip file ends early")
 
 
 def test_a_snapshot_that_is_damaged_or_gone_is_named(made: Config, folder: Path, tmp_path: Path) -> None:
@@ -221,14 +221,22 @@ def own_target(path: Path) -> str:
 SPECIAL = [fifo, unix_socket, endless, own_target]
 
 
-@pytest.mark.parametrize("spoil", SPECIAL, ids=lambda f: f.__name__)
 @pytest.mark.parametrize(
-    "name", ["export.json", "origin.json", "manifest/{}.jsonl", "vlnce/{0}/{0}.json.gz", "ansr/{0}/{0}.json.gz"]
+    ("name", "spoil"),
+    [
+        ("export.json", fifo),
+        ("origin.json", unix_socket),
+        ("manifest/{}.jsonl", endless),
+        ("manifest/{}.jsonl", fifo),
+        ("vlnce/{0}/{0}.json.gz", own_target),
+        ("vlnce/{0}/{0}.json.gz", endless),
+        ("ansr/{0}/{0}.json.gz", fifo),
+    ],
 )
 def test_what_is_no_file_is_a_fault_that_names_it(
     name: str, spoil: Callable[[Path], str], made: Config, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither waited for nor read without end."""
+    """Neither waited for nor read without end; every kind is refused where a file is opened, see the next test."""
     monkeypatch.chdir(folder)
     own = folder / name.format(largest(folder))
     own.unlink()

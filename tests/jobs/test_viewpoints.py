@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
+import shutil
 from itertools import combinations, pairwise
 from pathlib import Path
 
@@ -11,49 +11,27 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from rich.console import Console
 
 from condvln.evaluation.split import SplitOptions, evaluate_split
-from condvln.export.graph_episodes import GraphEpisodes
 from condvln.export.tables import FolderTables, MemoryTables
-from condvln.export.viewpoints import FOLDER, write_viewpoints
-from condvln.navigation.connectivity import read_connectivity
-from condvln.navigation.graph_pathfinder import GraphFolder
-from condvln.samples import make_samples
+from condvln.export.viewpoints import FOLDER, GraphEpisodes, write_viewpoints
+from condvln.navigation.graph_pathfinder import GraphFolder, read_connectivity
 from condvln.sources.registry import open_source
-from jobs.generate import run_generate
 from jobs.workspace import published, snapshot_folder
-from schemas.config import Config, InstructionsConfig, SourceConfig, SplitsConfig
+from schemas.base import SCHEMA_VERSION
+from schemas.config import Config, SplitsConfig
+from schemas.errors import MissingFileError
 from schemas.evaluation import ManifestEpisode
-from schemas.program import CATEGORIES
-from schemas.version import SCHEMA_VERSION
-
-SCANS = 3
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("mp3d")
-    make_samples(root, family="mp3d", scenes=SCANS, seed=5)
-    for pattern in ("*.glb", "*.navmesh"):
-        for path in root.rglob(pattern):
-            path.unlink()
-    return root
+def config(scans_alone: Config) -> Config:
+    return scans_alone
 
 
 @pytest.fixture(scope="module")
-def config(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
-    folder = tmp_path_factory.mktemp("run")
-    config = Config(
-        name="scans",
-        store=str(folder / "store"),
-        export=folder / "export",
-        sources=(SourceConfig(family="mp3d", root=data),),
-        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, 12)),
-        splits=SplitsConfig(fractions=(0.0, 0.0, 1.0)),
-    )
-    assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
-    return config
+def data(config: Config) -> Path:
+    return config.sources[0].root
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +67,6 @@ def test_every_rule_holds_of_what_is_placed(tables: FolderTables, graphs: GraphF
         ends = []
         for leaf in row["leaves"]:
             item = scenes[row["scene_id"]].object_of[leaf["object_id"]]
-            assert item.aabb is not None
             (goal,) = leaf["goals"]
             away = np.maximum(np.maximum(item.aabb[0] - goal, np.array(goal) - item.aabb[1]), 0)[[0, 2]]
             assert np.hypot(*away) <= 3.0
@@ -104,6 +81,21 @@ def test_every_rule_holds_of_what_is_placed(tables: FolderTables, graphs: GraphF
             {**_names(row), "depth": episode.instruction["depth"], "chain": episode.instruction["chain"]}
             | {"program": {k: episode.instruction[k] for k in ("category", "conditions", "branches", "leaves")}}
         )
+
+
+@pytest.mark.parametrize("lost", ["scenes", "instructions", "objects"])
+def test_a_lost_partition_is_no_empty_one(tables: FolderTables, graphs: GraphFolder, tmp_path: Path, lost: str) -> None:
+    copy = tmp_path / tables.folder.name
+    shutil.copytree(tables.folder, copy)
+    shutil.rmtree(copy / lost)
+    with pytest.raises(MissingFileError, match=lost):
+        list(GraphEpisodes(FolderTables(copy), graphs, SplitsConfig()))
+    for name in ("scenes", "rooms", "objects", "instructions"):  # nothing of the family was published at all
+        shutil.rmtree(copy / name, ignore_errors=True)
+    with pytest.raises(MissingFileError):
+        list(GraphEpisodes(FolderTables(copy), graphs, SplitsConfig()))
+    shutil.rmtree(copy / "episodes")
+    assert list(GraphEpisodes(FolderTables(copy), graphs, SplitsConfig())) == []
 
 
 def _whole(tables: FolderTables, name: str) -> pa.Table:
@@ -153,14 +145,6 @@ def test_the_folder_is_evaluated_like_an_export(
     assert len(tasks) == len(items)
     assert good.scores["success"].all()
     assert not bad.scores["success"].any()
-
-
-def test_splits_that_are_gone_leave_no_file(tmp_path: Path) -> None:
-    stale = tmp_path / FOLDER / "R2R_train.json"
-    stale.parent.mkdir()
-    stale.write_text("[]")
-    assert write_viewpoints(tmp_path, [], "snap").episodes == {}
-    assert not stale.exists()
 
 
 def test_a_run_writes_them_though_nothing_stands_on_a_navmesh(config: Config) -> None:

@@ -8,8 +8,9 @@ import pyarrow as pa
 import pytest
 from jsonschema import Draft202012Validator
 
-from schemas.generate import DATA_PAGE, DOCUMENTS, FOLDER, data_page, generated_files
+from schemas.generate import DOCUMENTS, FOLDER, generated_files
 from schemas.tables import ABOUT, QUATERNION, SORT_KEYS, TABLES, VEC3, description
+from tests.site_parts import part
 
 
 def test_files_are_up_to_date() -> None:
@@ -30,7 +31,8 @@ def test_sort_keys_are_columns() -> None:
 
 
 def test_the_data_page_is_up_to_date() -> None:
-    assert DATA_PAGE.read_text(encoding="utf-8") == data_page(), "run: python -m schemas.generate"
+    page = part("data")
+    assert page.FILE.read_text(encoding="utf-8") == page.data_page(), "run: python docs/site/data.py"
 
 
 def _undescribed(fields: object, path: str) -> list[str]:

@@ -1,4 +1,6 @@
-"""Geodesic distances between the places of a scene, only as far as a decision needs them."""
+"""Geodesic distances between the places of a scene, only as far as a decision needs them; and tests of a path against
+rectangles and points, one segment at a time, until the first hit.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +10,82 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined
-from condvln.navigation.kernels.astar import Search, new_search
-from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.kernels.projection import NO_POLYGON
-from condvln.navigation.kernels.route import route_between
-from condvln.navigation.kernels.straight import MAX_POINTS
+from condvln.navigation.kernels.mesh import QueryMesh, corner
+from condvln.navigation.kernels.path import MAX_POINTS, Search, new_search, route_between
+from condvln.navigation.kernels.projection import NO_POLYGON, Place
 from condvln.navigation.tile import Floats, Indices
-from condvln.uncounted import keep, uncounted
 from schemas.config.constants import SNAP_AT_MOST
 
-__all__ = ["apart_objects", "distance_between", "nearest_point", "straight_distance", "straight_to_object"]
+__all__ = [
+    "apart_objects",
+    "comes_within",
+    "distance_between",
+    "least_distance",
+    "nearest_point",
+    "passes_through",
+    "straight_distance",
+    "straight_to_object",
+]
 
 Doubles = npt.NDArray[np.float64]
+
+
+@compiled
+def passes_through(path: Doubles, center: Doubles, half: Doubles, axes: Doubles) -> bool:
+    """Return whether any segment of a path crosses the interior of any of b rectangles in the XZ plane (slab test).
+
+    Parameters
+    ----------
+    path : (n, 3) metres
+    center, half : (b, 2) metres, as (x, z); axes : (b, 2, 2), columns the rectangles' unit axes
+    """
+    for b in range(len(center)):
+        for k in range(len(path) - 1):
+            ax, az = path[k, 0] - center[b, 0], path[k, 2] - center[b, 1]
+            bx, bz = path[k + 1, 0] - center[b, 0], path[k + 1, 2] - center[b, 1]
+            first, last = 0.0, 1.0
+            for i in range(2):
+                begin = ax * axes[b, 0, i] + az * axes[b, 1, i]
+                way = bx * axes[b, 0, i] + bz * axes[b, 1, i] - begin
+                if way != 0.0:
+                    one, other = (-half[b, i] - begin) / way, (half[b, i] - begin) / way
+                    first = max(first, min(one, other))
+                    last = min(last, max(one, other))
+                elif not abs(begin) < half[b, i]:
+                    last = -math.inf  # the segment is beside the rectangle for its whole length
+            if first < last:
+                return True
+    return False
+
+
+@compiled
+def least_distance(path: Doubles, points: Doubles, enough: float) -> float:
+    """Return the least straight-line distance in metres between a polyline (n, 3) and points (k, 3).
+
+    The search ends at the first distance below ``enough``.
+    """
+    best = math.inf
+    for k in range(len(path) - 1):
+        dx, dy, dz = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1], path[k + 1, 2] - path[k, 2]
+        square = dx * dx + dy * dy + dz * dz
+        for p in range(len(points)):
+            x, y, z = points[p, 0] - path[k, 0], points[p, 1] - path[k, 1], points[p, 2] - path[k, 2]
+            t = 0.0
+            if square > 0.0:
+                t = min(max((x * dx + y * dy + z * dz) / square, 0.0), 1.0)
+            ex = points[p, 0] - (path[k, 0] + t * dx)
+            ey = points[p, 1] - (path[k, 1] + t * dy)
+            ez = points[p, 2] - (path[k, 2] + t * dz)
+            best = min(best, math.sqrt(ex * ex + ey * ey + ez * ez))
+            if best < enough:
+                return best
+    return best
+
+
+@compiled
+def comes_within(path: Doubles, points: Doubles, limit: float) -> bool:
+    """Return whether a polyline (n, 3) comes within ``limit`` metres of one of the points (k, 3)."""
+    return least_distance(path, points, limit) < limit
 
 
 @compiled
@@ -48,21 +114,11 @@ def distance_between(
 
     asked, polys, at : the places as requested, the polygons below them, and the places as projected
     """
-    length, count = route_between(
-        mesh,
-        search,
-        asked[one],
-        polys[one],
-        at[one, 0],
-        at[one, 1],
-        at[one, 2],
-        asked[other],
-        polys[other],
-        at[other, 0],
-        at[other, 1],
-        at[other, 2],
-        points,
+    start, end = (
+        Place(corner(asked, one), polys[one], corner(at, one)),
+        Place(corner(asked, other), polys[other], corner(at, other)),
     )
+    length, count = route_between(mesh, search, start, end, points)
     return (float(length) if math.isfinite(length) else math.inf), count
 
 
@@ -136,9 +192,7 @@ def apart_objects(
     """
     n = first.shape[0] - 1
     apart = np.ones((n, n), np.bool_)
-    mesh, asked, polys, at = uncounted((mesh, asked, polys, at))
-    held = (new_search(mesh.poly_size.shape[0]), np.empty((MAX_POINTS, 3), np.float32))
-    search, points = uncounted(held)
+    search, points = new_search(mesh.poly_size.shape[0]), np.empty((MAX_POINTS, 3), np.float32)
     for one in range(n):
         apart[one, one] = False
         for other in range(one + 1, n):
@@ -160,7 +214,6 @@ def apart_objects(
                         break
             apart[one, other] = not near
             apart[other, one] = not near
-    keep(held)
     return apart
 
 

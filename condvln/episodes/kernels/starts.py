@@ -12,17 +12,16 @@ import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined
 from condvln.episodes.kernels.distances import (
+    comes_within,
     distance_between,
     nearest_point,
+    passes_through,
     straight_distance,
     straight_to_object,
 )
-from condvln.episodes.kernels.ways import comes_within, passes_through
-from condvln.navigation.kernels.astar import Search, new_search
 from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.kernels.straight import MAX_POINTS
+from condvln.navigation.kernels.path import MAX_POINTS, Search, new_search
 from condvln.navigation.tile import Floats, Indices
-from condvln.uncounted import keep, uncounted
 
 __all__ = [
     "FITS",
@@ -309,9 +308,7 @@ def possible_starts(
     their number; and ``FITS``, ``FULL`` if there was no room for all ways, or else the rule that none of the starts
     meets which meet the rules before it: ``OUT_OF_RANGE``, ``DETOUR`` or ``TOO_FAR``
     """
-    mesh, places, known = uncounted((mesh, places, known))
-    held = new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32)
-    search, corners = uncounted(held)
+    search, corners = new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32)
     points, kept = corners[0], corners[1]
     count, outcome = 0, OUT_OF_RANGE
     # Lengths need no further path, so they come before detours. If no start is left, it is asked again whether all that
@@ -337,7 +334,6 @@ def possible_starts(
                 possible[count] = start
                 count += 1
                 outcome = FITS
-    keep(held)
     return count, outcome
 
 
@@ -446,13 +442,8 @@ def first_fit(
     most_moves = 0
     for leaf in range(leaves):
         most_moves = max(most_moves, first_move[leaf + 1] - first_move[leaf])
-    mesh, places, known = uncounted((mesh, places, known))
-    held = (
-        np.empty((leaves, most_moves * MAX_POINTS + 1, 3)),
-        new_search(mesh.poly_size.shape[0]),
-        np.empty((2, MAX_POINTS, 3), np.float32),
-    )
-    paths, search, buffers = uncounted(held)
+    paths = np.empty((leaves, most_moves * MAX_POINTS + 1, 3))
+    search, buffers = new_search(mesh.poly_size.shape[0]), np.empty((2, MAX_POINTS, 3), np.float32)
     points, kept = buffers[0], buffers[1]
     sizes, lengths = np.zeros(leaves, np.int64), np.zeros(leaves)
     stops = np.zeros(moves.shape[0], np.int64)
@@ -480,5 +471,4 @@ def first_fit(
             nearest[leaf] = places.nearest[order[tried], goal]
             corners[used : used + sizes[leaf]] = paths[leaf, : sizes[leaf]]
             used += sizes[leaf]
-    keep(held)
     return outcome, tried, corners, sizes, stops, lengths, direct, nearest

@@ -13,14 +13,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from condvln.evaluation.export_folder import Export, open_export
 from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.measures import path_length
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.scene_views import SCENES_KEPT, SceneViews
 from condvln.evaluation.score import ScoreRules, score
-from condvln.evaluation.stepped_episode import SteppedEpisode
+from condvln.evaluation.split import Export, open_export
 from condvln.evaluation.task import Task
+from condvln.evaluation.walker import SteppedEpisode
 from condvln.sensors import PRESETS, TextSensor, cameras_of, noisy_pose
 from condvln.sources.source import Source
 from schemas.config import CameraConfig, NoiseConfig
@@ -31,7 +31,7 @@ __all__ = ["NavigationEnv"]
 LONGEST_TEXT: Final = 8192
 """Largest length in characters of a text observation; longer ones are cut."""
 TOLD_AFTER_STOP: Final = frozenset({"committed_leaf", "leaf_correct", "wrong_branch", "no_commit", "divergence"})
-"""Measures whose value is a leaf index."""
+"""Measures that depend on which leaf is gold or was reached: they are in ``info`` after STOP only."""
 CHARACTERS: Final = frozenset(map(chr, range(32, 127))) | {"\n", "°"}
 
 Observation = dict[str, Any]

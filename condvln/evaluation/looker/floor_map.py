@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
-from condvln.evaluation.kernels.floor_grid import chart, line_is_open
-from condvln.evaluation.kernels.floor_grid import ways as cheapest
-from condvln.evaluation.looker.eyes import Look
+from condvln.evaluation.looker.eyes import Look, SeenView
 
-__all__ = ["CELL", "HALF", "FloorMap", "Ground", "Ways"]
+__all__ = ["CELL", "HALF", "FloorMap", "Ground", "Ways", "least_costs", "open_areas"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -88,16 +88,14 @@ class Ground:
         """Return the cheapest paths from a position to all cells."""
         a, b = self.cell(x, z)
         start = a * self.cost.shape[1] + b
-        distance, before = cheapest(self.cost, start)
-        return Ways(self, distance.reshape(self.cost.shape), before, start)
+        return Ways(self, *least_costs(self.cost, start), start)
 
     def hopeful_ways_from(self, ways: Ways, room: int) -> Ways:
         """Return the cheapest paths from the start of `ways`, as they would be if all unseen cells of a room were open
         floor.
         """
         cost = np.where(self.unseen & ((self.guess == room) | (room < 0)), UNSEEN_COST, self.cost).astype(np.float32)
-        distance, before = cheapest(cost, ways.start)
-        return Ways(self, distance.reshape(cost.shape), before, ways.start)
+        return Ways(self, *least_costs(cost, ways.start), ways.start)
 
     def open_between(self, one: F64, other: F64, ignored: float = 0.0, *, among: Bools | None = None) -> bool:
         """Return whether no obstacle is between two positions (2,). The last `ignored` metres of the line are not
@@ -105,11 +103,15 @@ class Ground:
 
         among : cells (n, m) that count as obstacles; those that the agent can't enter if None
         """
-        offset = np.array(self.corner) - HALF
-        a, b = one / CELL - offset
-        p, q = other / CELL - offset
+        begin, end = (np.asarray(place) / CELL - (np.array(self.corner) - HALF) for place in (one, other))
+        length = float(np.hypot(*(end - begin)))
+        tested = length - ignored / CELL
+        steps = 0.5 * np.arange(math.ceil(2 * tested) + 1)
+        along = np.minimum(steps, max(tested, 0.0)) / max(length, 1e-9)
+        rows, columns = np.floor(begin + along[:, None] * (end - begin)).astype(np.intp).T
         shut = ~self.passable if among is None else among
-        return line_is_open(shut, float(a), float(b), float(p), float(q), ignored / CELL)
+        inside = (rows >= 0) & (columns >= 0) & (rows < shut.shape[0]) & (columns < shut.shape[1])
+        return bool(inside.all()) and not shut[rows, columns].any()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,7 +121,7 @@ class Ways:
     """
 
     ground: Ground
-    distance: NDArray[np.float32]
+    distance: F64
     before: NDArray[np.int32]
     start: int
 
@@ -165,44 +167,66 @@ class FloorMap:
         counter-clockwise from −z.
         """
         hit, clear = np.zeros_like(self._seen), np.zeros_like(self._seen)
-        place = np.array([x, z])
         self._floor = _floor_below(look, self._floor)
         for view in look.views:
-            chart(
-                view.depth,
-                view.regions,
-                view.columns,
-                view.rows,
-                place,
-                heading + view.turn,
-                view.eye - self._floor,
-                CELL,
-                CLIMB,
-                TALL,
-                HEIGHT,
-                reach,
-                hit,
-                self._tall,
-                clear,
-                self._near,
-                self._region,
-            )
+            self._add_view(view, np.array([x, z]), heading + view.turn, reach, hit, clear)
         score = self._score + SURE * hit.astype(np.int8) - (clear & ~hit).astype(np.int8)
         self._score = np.clip(score, -1, MOST).astype(np.int8)
         self._seen |= hit | clear
 
+    def _add_view(self, view: SeenView, place: F64, heading: float, reach: float, hit: Bools, clear: Bools) -> None:
+        """Mark the cells in which a view shows obstacles in `hit`, and those of which it shows floor in `clear`, both
+        masks of the whole map.
+        """
+        slant = np.hypot(1.0, view.columns)
+        ahead = np.array([-math.sin(heading), -math.cos(heading)])
+        aside = np.array([math.cos(heading), -math.sin(heading)])
+        rays = (ahead + view.columns[:, None] * aside) / slant[:, None]
+        eye = view.eye - self._floor
+        # Pixels by column, so that of several points in a cell the lowest of the rightmost column names its room.
+        depth = view.depth.T.astype(np.float64)
+        away, up = depth * slant[:, None], eye + view.rows * depth
+        shown = (depth > 0) & (away <= reach) & (up < HEIGHT)
+        a, b = self._cells(place + rays[:, None] * away[..., None])
+        shown &= a >= 0
+        obstacle = shown & (np.abs(up) > CLIMB)
+        hit[a[obstacle], b[obstacle]] = True
+        tall = shown & (up > TALL)
+        self._tall[a[tall], b[tall]] = True
+        floor = shown & ~obstacle
+        clear[a[floor], b[floor]] = True
+        np.minimum.at(self._near, (a[floor], b[floor]), away[floor].astype(np.float32))
+        named = floor & (view.regions.T >= 0)
+        self._region[a[named], b[named]] = view.regions.T[named]
+        # The camera does not see the floor around the agent's feet; it is assumed open up to the next obstacle.
+        far = np.max(away, axis=1, where=floor, initial=eye / -float(view.rows[-1]))
+        stop = np.minimum(np.min(away, axis=1, where=obstacle, initial=np.inf) - CELL, far)
+        walked = np.arange(0.0, max(float(stop.max()), 0.0) + CELL / 2, CELL / 2)
+        a, b = self._cells(place + rays[:, None] * walked[:, None])
+        assumed = (walked <= stop[:, None]) & (a >= 0)
+        clear[a[assumed], b[assumed]] = True
+        np.minimum.at(
+            self._near, (a[assumed], b[assumed]), np.broadcast_to(walked, a.shape)[assumed].astype(np.float32)
+        )
+
+    @staticmethod
+    def _cells(places: F64) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the rows and columns (...) of the cells of positions (..., 2); -1 both for one off the map."""
+        cells = np.floor(places / CELL).astype(np.intp) + HALF
+        cells[((cells < 0) | (cells >= 2 * HALF)).any(axis=-1)] = -1
+        return cells[..., 0], cells[..., 1]
+
     def reveal(self, places: F64, regions: NDArray[np.int16]) -> None:
         """Mark the unseen cells at k positions (k, 2) as open floor, and assign each to its room in `regions` (k,)."""
-        cells = np.floor(places / CELL).astype(np.intp) + HALF
-        fits = ((cells >= 0) & (cells < 2 * HALF)).all(axis=1)
-        a, b = cells[fits].T
-        self._seen[a, b] = True
-        self._region[a, b] = regions[fits]
+        a, b = self._cells(places)
+        fits = a >= 0
+        self._seen[a[fits], b[fits]] = True
+        self._region[a[fits], b[fits]] = regions[fits]
 
     def bump(self, x: float, z: float) -> None:
         """Record that the agent was blocked at a position."""
-        a, b = math.floor(x / CELL) + HALF, math.floor(z / CELL) + HALF
-        if 0 <= a < 2 * HALF and 0 <= b < 2 * HALF:
+        a, b = self._cells(np.array([x, z]))
+        if a >= 0:
             self._bumped[a, b] = self._seen[a, b] = True
 
     def ground(self, x: float, z: float) -> Ground:
@@ -241,6 +265,62 @@ class FloorMap:
             guess,
             self._near[part],
         )
+
+
+def least_costs(cost: NDArray[np.float32], start: int) -> tuple[F64, NDArray[np.int32]]:
+    """Return the least costs (n, m) from the cell `start` to all cells of a grid, in cells, infinite where there is no
+    path; and for each cell (n·m,) the flat index of the one before it, negative at the start and where there is no
+    path. Each cell has eight neighbours; diagonal steps do not cut corners.
+
+    Parameters
+    ----------
+    cost (n, m) : cost of walking the width of a cell in it; infinite if it can't be entered
+    start : flat index; it may be left even if its own cost is infinite, and diagonally past any corner
+    """
+    n, m = cost.shape
+    number = np.arange(n * m, dtype=np.int32).reshape(n, m)
+    enterable = np.isfinite(cost)
+    leavable = enterable.copy()
+    leavable.flat[start] = True
+    starts, ends, weights = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        for way in (1, -1):
+            here, there = _shifted(n, way * down), _shifted(m, way * right)
+            one, other = (here[0], there[0]), (here[1], there[1])
+            fits = leavable[one] & enterable[other]
+            if down and right:
+                corners = enterable[here[0], there[1]] & enterable[here[1], there[0]]
+                fits &= corners | (number[one] == start)
+            starts.append(number[one][fits])
+            ends.append(number[other][fits])
+            weights.append(cost[other][fits] * math.hypot(down, right))
+    pairs = np.concatenate(starts), np.concatenate(ends)
+    graph = csr_array((np.concatenate(weights).astype(np.float64), pairs), shape=(n * m, n * m))
+    distance, before = dijkstra(graph, indices=start, return_predecessors=True)
+    return distance.reshape(n, m), before
+
+
+def _shifted(size: int, by: int) -> tuple[slice, slice]:
+    """Return the slices of an axis that hold cells, and their neighbours `by` cells on."""
+    return slice(max(0, -by), size - max(0, by)), slice(max(0, by), size + min(0, by))
+
+
+def open_areas(
+    wanted: Bools, shut: Bools, rows: NDArray[np.intp], columns: NDArray[np.intp], radius: int, rays: int
+) -> F64:
+    """Return for each of k cells the area, in cells, of the cells in the mask `wanted` that straight lines from the
+    cell reach: up to `radius` cells long, in `rays` directions, as far as the first cell of the mask `shut`.
+    """
+    angles = 2 * np.pi * np.arange(rays) / rays
+    found, going = np.zeros(len(rows)), np.ones((len(rows), rays), bool)
+    for away in range(1, radius + 1):
+        i = np.floor(rows[:, None] + 0.5 + np.cos(angles) * away).astype(np.intp)
+        j = np.floor(columns[:, None] + 0.5 + np.sin(angles) * away).astype(np.intp)
+        going &= (i >= 0) & (j >= 0) & (i < shut.shape[0]) & (j < shut.shape[1])
+        i, j = np.where(going, i, 0), np.where(going, j, 0)
+        going &= ~shut[i, j]
+        found += 2 * np.pi * away / rays * (going & wanted[i, j]).sum(axis=1)
+    return found
 
 
 def _beside(mask: Bools) -> Bools:

@@ -11,13 +11,10 @@ from typing import Final
 import numpy as np
 
 from condvln.evaluation.looker.approach import Approach, approach
-from condvln.evaluation.looker.exploring import Explorer, Here
+from condvln.evaluation.looker.exploring import ARRIVED, Explorer, Here, Steering
 from condvln.evaluation.looker.eyes import Look
 from condvln.evaluation.looker.floor_map import F64, FloorMap, Ground, Ways
-from condvln.evaluation.looker.judging import Compared, gap, ranked
-from condvln.evaluation.looker.memory import Memory, Thing
-from condvln.evaluation.looker.referents import Referents
-from condvln.evaluation.looker.steering import ARRIVED, Steering
+from condvln.evaluation.looker.memory import Compared, Memory, Referents, Thing, gap, ranked
 from condvln.instructions import parse
 from condvln.instructions.language import LANGUAGES
 from condvln.instructions.text_reading import Phrase, Reading

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,8 +14,8 @@ from condvln.evaluation.looker.eyes import Eyes
 from condvln.evaluation.looker.looker import Looker
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.scene_views import SeenScene
-from condvln.evaluation.stepped_episode import SteppedEpisode, heading_of
 from condvln.evaluation.task import Task
+from condvln.evaluation.walker import SteppedEpisode, heading_of
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import noisy_pose
 from schemas.config import LookerConfig
@@ -75,7 +75,9 @@ class LookingAgent:
             believed, facing = noisy_pose(position, heading, noise, seed, (name, episode.steps))
             place, own = _from_start(believed, facing, task.start, first)
             episode.take(looker.act(place, own, lambda p=position, h=heading: eyes(p, h), episode.collided))  # type: ignore[misc]
-        return LookerWalk(episode.prediction(), looker.picked, dict(looker.verdicts), frozenset(looker.forced))
+        # It looks all round, so that no heading says what it saw.
+        walked = replace(episode.prediction(), headings=None)
+        return LookerWalk(walked, looker.picked, dict(looker.verdicts), frozenset(looker.forced))
 
     def _open(self, scene: str) -> Eyes:
         view = self._views(scene)

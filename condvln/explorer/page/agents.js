@@ -3,7 +3,6 @@
 
 {
   const { element, svg, link, count } = explorer;
-  const MEASURES = [["success", "SR"], ["bsa_all", "BSA-all"], ["csr_all", "CSR-all"]];
   const CHART = { width: 300, height: 170, left: 34, bottom: 24 };
 
   function shown(table) {
@@ -39,12 +38,12 @@
     return element("ul", { class: "legend" }, agents.map((agent, k) => element("li", {}, explorer.sample(`walk agent-${k % 4}`, explorer.SHAPES[k % 4]), agent)));
   }
 
-  function sweeps(tables) {
+  function sweeps(tables, measures) {
     return tables.filter((table) => table.name === "by_depth" || table.name === "by_chain").map((table) => {
       const axis = table.name.slice("by_".length);
       const agents = [...new Set(table.rows.map((row) => row.agent))];
       return element("section", {}, element("h3", {}, `By ${axis} (${table.split})`), key(agents),
-        element("div", { class: "columns" }, MEASURES.map(([measure, title]) => sweep(table, axis, measure, title, agents))), shown(table));
+        element("div", { class: "columns" }, measures.map(([measure, title]) => sweep(table, axis, measure, title, agents))), shown(table));
     });
   }
 
@@ -115,10 +114,10 @@
       main.replaceChildren(element("h1", {}, "Agents"), element("p", {}, "No predictions were given: condvln explore … --predictions FILE shows agents."));
       return "Agents";
     }
-    const { tables } = await explorer.load("agents");
+    const { tables, measures } = await explorer.load("agents");
     const rest = new Set(["main", "by_depth", "by_chain", "differences"]);
     main.replaceChildren(element("h1", {}, "Agents"), outcomesOf(), tables.filter((table) => table.name === "main").map(shown)[0] || "");
-    main.append(...tables.filter((table) => table.name === "main").slice(1).map(shown), element("h2", {}, "Depth and chain"), ...sweeps(tables), comparison(tables) || "",
+    main.append(...tables.filter((table) => table.name === "main").slice(1).map(shown), element("h2", {}, "Depth and chain"), ...sweeps(tables, measures), comparison(tables) || "",
       element("details", {}, element("summary", {}, "All tables"), tables.filter((table) => !rest.has(table.name)).map(shown)));
     return "Agents";
   };

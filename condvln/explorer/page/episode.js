@@ -31,6 +31,7 @@
         nodes.push(plan.mark(end, `${leaf === gold ? "star" : "goal"} ${kind}`, String(leaf.leaf), `leaf ${leaf.leaf}: ${explorer.thing(plan.scene, leaf.object)}`));
         leaves.set(leaf.leaf, nodes);
       }
+      if (episode.looking) plan.way("paths", episode.looking.path, "looking");
       plan.arrow("marks", episode.start, episode.heading, "start");
       mark(fixed);
     }
@@ -66,8 +67,8 @@
       const view = episode.views?.[index];
       if (view) {
         for (const target of [...targets, ...anchors.map(centre).filter(Boolean)]) plan.way("rays", [view.at, target], "ray");
-        const eye = plan.mark(view.at, "eye", "", `first seen from here, ${number(view.walked, 1)} m along the gold path`);
-        plan.layers.named.append(eye, explorer.svg("text", { x: plan.x(view.at[0]), y: plan.y(view.at[2]) + 22, class: "eye-label", "font-size": 11 }, "first seen here"));
+        const eye = plan.mark(view.at, "eye", "", `decided here, ${number(view.walked, 1)} m along the looking path`);
+        plan.layers.named.append(eye, explorer.svg("text", { x: plan.x(view.at[0]), y: plan.y(view.at[2]) + 22, class: "eye-label", "font-size": 11 }, "decided here"));
       }
     }
 
@@ -81,7 +82,7 @@
   }
 
   function positions(episode) {
-    return [episode.start, ...episode.leaves.flatMap((leaf) => [...leaf.path, ...leaf.goals])];
+    return [episode.start, ...episode.leaves.flatMap((leaf) => [...leaf.path, ...leaf.goals]), ...(episode.looking?.path || [])];
   }
 
   /* Return a plan with its switches. `drawn` is what `drawing` returned. */
@@ -119,6 +120,7 @@
   /* Every line of the plan with its meaning: leaves by number, then the marks; agents have theirs beside their names. */
   function legend(episode) {
     const ways = episode.leaves.map((leaf) => (leaf.leaf === episode.gold ? ["gold", `★ leaf ${leaf.leaf}, gold`] : [`leaf-${leaf.leaf % 4}`, `leaf ${leaf.leaf}`]));
+    if (episode.looking) ways.push(["looking", `looking path to it, ${number(episode.looking.length, 1)} m`]);
     const stops = episode.leaves.some((leaf) => leaf.stops.length) ? [element("li", {}, element("span", { class: "key stop" }, "a"), element("span", { class: "key stop" }, "b"), "stops before the goal, in their order")] : [];
     const entries = [["start", "start and heading"], ["witness", "witness"], ["rival", "rival or elsewhere"], ["anchor", "anchor"]];
     return element("ul", { class: "legend", "aria-label": "Legend of the plan" }, ways.map(([kind, text]) => element("li", {}, explorer.sample(kind), text)), stops,
@@ -168,9 +170,9 @@
 
   function agentTable(row) {
     const rows = explorer.index.agents.filter((agent) => agent.outcome[row]).map((agent) => [
-      agent.name, outcomeText(row, agent.name), number(agent.scores.navigation_error?.[row]), number(agent.scores.spl?.[row]),
-      number(agent.scores.ndtw?.[row]), number(agent.scores.bsa_all?.[row])]);
-    return rows.length ? explorer.table("Agents on this episode", ["agent", "outcome", "#end to gold goal, m (NE)", "#SPL", "#nDTW", "#BSA-all"], rows, "agents-here") : null;
+      agent.name, outcomeText(row, agent.name), ...explorer.index.metrics.map(([key]) => number(agent.scores[key]?.[row]))]);
+    const headings = explorer.index.metrics.map(([, heading, kind]) => `#${heading}${kind === "metres" ? ", m" : ""}`);
+    return rows.length ? explorer.table("Agents on this episode", ["agent", "outcome", ...headings], rows, "agents-here") : null;
   }
 
   function frames(episode) {

@@ -68,15 +68,11 @@
       [one.true && element("div", {}, `true: ${one.true}`), one.false && element("div", {}, `false: ${one.false}`)], margin(one)]);
   }
 
-  /* Return from where the things that decide a condition are first seen; nothing where that was not computed. */
-  function firstSeen(episode, condition, view) {
-    if (view) {
-      const place = view.walked > 0 ? `${number(view.walked, 1)} m along the gold path` : "from the start";
-      return `First seen ${place}, marked with an eye on the plan.`;
-    }
-    if (!episode.frames.length) return "";
-    if (!condition.truth && !condition.qualifier) return "That there is none is seen nowhere at once: the room has to be looked through.";
-    return "Not all that decides it is seen from the gold path.";
+  /* Return where the looking walk decides a condition; nothing where there is no such walk. */
+  function decidedAt(view) {
+    if (!view) return "";
+    const place = view.walked > 0 ? `${number(view.walked, 1)} m along the looking path` : "at the start";
+    return `Decided ${place}, after ${view.frame} actions, marked with an eye on the plan.`;
   }
 
   /* Return what decides a condition. */
@@ -85,7 +81,6 @@
     const facts = episode.facts?.[number_];
     const proof = episode.certificate?.conditions?.[number_];
     const evidence = episode.evidence.find((one) => one.condition === number_);
-    const view = episode.views?.[number_];
     const lines = [element("h3", {}, `${explorer.letter(number_)}: ${explorer.conditionName(condition)}`)];
     if (facts) {
       lines.push(element("p", { class: "verdict" }, verdict(condition, facts, scene)));
@@ -104,7 +99,7 @@
     if (evidence) lines.push(element("p", { class: "seen" },
       `Evidence: ${LEVELS[evidence.observability] || evidence.observability}${evidence.in_view ? ", in the first view" : ""}.`));
     else lines.push(element("p", { class: "seen" }, "It is not asked on the gold route."));
-    const where = evidence && firstSeen(episode, condition, view);
+    const where = evidence && decidedAt(episode.views?.[number_]);
     if (where) lines.push(element("p", { class: "first-seen" }, where));
     if (facts?.things.length) {
       const table = facts.things.flatMap((thing, k) => rows(thing, k < WHOLE, scene));

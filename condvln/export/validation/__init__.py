@@ -3,6 +3,6 @@ score.
 """
 
 from condvln.export.validation.findings import CODES, Finding, Severity
-from condvln.export.validation.folder import Options, validate
+from condvln.export.validation.folder import EpisodeNavmeshes, Options, validate
 
-__all__ = ["CODES", "Finding", "Options", "Severity", "validate"]
+__all__ = ["CODES", "EpisodeNavmeshes", "Finding", "Options", "Severity", "validate"]

@@ -1,22 +1,60 @@
-"""Checks of single episodes against what strict loaders and their measures expect.
+"""Checks of ``{episodes, instruction_vocab}`` documents (stock VLN-CE, ANSR-v1 and RxR guides) against what strict
+loaders and their measures expect.
 
-Allowed and required keys are those of ``VLNExtendedEpisode``, ``InstructionData``, ``RxRInstructionData`` and
-habitat-lab's ``VLNEpisode``, which are constructed from each record by keyword.
+Allowed and required keys of an episode are those of ``VLNExtendedEpisode``, ``InstructionData``, ``RxRInstructionData``
+and habitat-lab's ``VLNEpisode``, which are constructed from each record by keyword.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
-from condvln.export.tokens import PAD_INDEX, UNK_INDEX, tokenize
-from condvln.export.validation.document import Document, PathfinderOf, check_keys, is_number, is_point, points, straight
-from condvln.export.validation.findings import LintReport
+from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
+from condvln.export.validation.findings import LintReport, check_keys, is_number, is_point, points, straight
+from condvln.navigation.protocol import PathfinderProtocol
 
-__all__ = ["WITHHELD", "EpisodeChecks"]
+__all__ = ["Document", "Kind", "PathfinderOf", "check_document"]
+
+Kind = Literal["vlnce", "ansr", "rxr", "r2r"]
+
+PathfinderOf = Callable[[dict[str, Any]], PathfinderProtocol | None]
+"""Returns the navmesh of an episode's scene; None if unknown."""
+
+
+@dataclass
+class Document:
+    """The parts of a document that later checks need."""
+
+    kind: Kind
+    vocabulary: Vocabulary | None = None
+    bert: bool = False
+    """Whether the vocabulary is BERT's, so that tokens are word pieces between [CLS] and [SEP]."""
+    scenes: set[str] = field(default_factory=set)
+    starts: dict[str, list[float]] = field(default_factory=dict)
+    goals: dict[str, list[tuple[list[float], float]]] = field(default_factory=dict)
+    told: dict[tuple[str, str, tuple[float, ...]], str] = field(default_factory=dict)
+    """Episode id by (scene, text, start)."""
+
+    def merge(self, other: Document) -> None:
+        """Merge another document of the same split, such as a shard, into this one."""
+        self.vocabulary = self.vocabulary or other.vocabulary
+        self.bert |= other.bert
+        self.scenes |= other.scenes
+        self.starts |= other.starts
+        self.goals |= other.goals
+        self.told |= other.told
+
+
+_BERT_PAD, _BERT_UNK = "[PAD]", "[UNK]"
+"""Special words of BERT's own vocabulary, which ``<split>_bertidx`` files have in place of R2R's."""
+
+_TOP: Final = frozenset({"episodes", "instruction_vocab"})
 
 _REQUIRED: Final = frozenset(
     {"episode_id", "trajectory_id", "scene_id", "start_position", "start_rotation", "instruction"}
@@ -72,6 +110,72 @@ def _is_bert(tokens: list[int]) -> bool:
     return ends and all(0 < token < _BERT_WORDS for token in said)
 
 
+def check_document(report: LintReport, content: dict[str, Any], pathfinder_of: PathfinderOf | None = None) -> Document:
+    """Check one document; if ``pathfinder_of`` is given, also check it against the navmeshes of its scenes."""
+    episodes = content.get("episodes")
+    if not isinstance(episodes, list):
+        report.add("episodes", "wrong-type", "not a list")
+        return Document("vlnce")
+    for key in sorted(set(content) - _TOP):
+        report.add(key, "unknown-top-key", f"unknown key {key!r}")
+    if not episodes:
+        report.add("episodes", "no-episodes", "there is none")
+    document = Document(_kind(report.file, episodes))
+    document.vocabulary = _vocabulary(report, content.get("instruction_vocab"), document)
+    withheld = all(isinstance(one, dict) and not one.keys() & WITHHELD for one in episodes)
+    checks = EpisodeChecks(report, document, pathfinder_of, withheld=bool(episodes) and withheld)
+    if episodes and withheld:
+        report.add("episodes", "goals-withheld", "no episode has goals or a reference path")
+    for number, episode in enumerate(episodes):
+        report.episode = ""
+        checks.check(f"episodes[{number}]", episode)
+    report.episode = ""
+    return document
+
+
+def _kind(file: str, episodes: list[Any]) -> Kind:
+    records = [episode for episode in episodes if isinstance(episode, dict)]
+    if not records:  # an empty split: only the file's name tells the format
+        return "rxr" if "_guide." in file or "_follower." in file else "vlnce"
+    if 2 * sum("subgoals" in record for record in records) > len(records):
+        return "ansr"
+    told = [record["instruction"] for record in records if isinstance(record.get("instruction"), dict)]
+    # A single wrong key does not change the file's format.
+    if 2 * sum("language" in instruction for instruction in told) > len(told):
+        return "rxr"
+    return "vlnce"
+
+
+def _vocabulary(report: LintReport, found: Any, document: Document) -> Vocabulary | None:
+    if found is None and document.kind == "rxr":
+        return None
+    if not isinstance(found, dict) or not isinstance(found.get("word_list"), list):
+        report.add("instruction_vocab", "missing-vocabulary", "no instruction_vocab.word_list")
+        return None
+    words = found["word_list"]
+    place = "instruction_vocab"
+    if not all(isinstance(word, str) for word in words):
+        report.add(f"{place}.word_list", "wrong-type", "not a list of words")
+        return None
+    document.bert = words[:1] == [_BERT_PAD] and _BERT_UNK in words
+    if len(set(words)) != len(words) or not (document.bert or words[:2] == ["<pad>", "<unk>"]):
+        report.add(f"{place}.word_list", "vocabulary-inconsistent", "does not begin <pad>, <unk>, or repeats a word")
+        return None
+    index = {word: number for number, word in enumerate(words)}
+    wanted: dict[str, Any] = {
+        "word2idx_dict": index,
+        "stoi": index,
+        "itos": words,
+        "num_vocab": len(words),
+        "UNK_INDEX": words.index(_BERT_UNK) if document.bert else UNK_INDEX,
+        "PAD_INDEX": PAD_INDEX,
+    }
+    for key, value in wanted.items():
+        if key in found and found[key] != value:
+            report.add(f"{place}.{key}", "vocabulary-inconsistent", f"{key} does not agree with word_list")
+    return None if document.bert else Vocabulary(tuple(words))
+
+
 class EpisodeChecks:
     """Checks the episodes of a file in turn, and adds what later checks need to ``document``, the file's record."""
 
@@ -123,6 +227,9 @@ class EpisodeChecks:
             if key in episode and (isinstance(value, bool) or not isinstance(value, str | int)):
                 self._report.add(f"{place}.{key}", "wrong-type", f"{value!r} is neither a number nor text")
         name = str(episode.get("episode_id"))
+        if self._document.kind == "rxr" and type(episode.get("episode_id")) is int and not self._id_named:
+            self._id_named = True
+            self._report.add(f"{place}.episode_id", "id-not-text", f"{name} is a number")
         if "episode_id" in episode:
             if not self._id_named and not name.isdecimal():
                 self._id_named = True  # where one id is text, all are

@@ -1,12 +1,26 @@
-"""The kinds of findings of the linter, each with a code, a severity and a remedy."""
+"""The kinds of findings of the linter, each with a code, a severity and a remedy; and checks of single values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import csv
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, Literal
+from importlib.resources import files
+from typing import Any, Final, Literal, cast
 
-__all__ = ["CODES", "Finding", "LintReport", "Rule", "Severity"]
+__all__ = [
+    "CODES",
+    "Finding",
+    "LintReport",
+    "Rule",
+    "Severity",
+    "check_keys",
+    "is_number",
+    "is_point",
+    "points",
+    "straight",
+]
 
 Severity = Literal["error", "warning"]
 """An error crashes a known loader or makes a score wrong; a warning may be intended."""
@@ -20,73 +34,14 @@ class Rule:
     remedy: str
 
 
-CODES: Final[dict[str, Rule]] = {
-    # the file
-    "unreadable": Rule("error", "write the file again; it is cut, damaged or not JSON"),
-    "not-a-number": Rule("error", "JSON has no NaN or Infinity: drop the episode or give its true value"),
-    "unknown-shape": Rule("error", "a VLN-CE file is {episodes, instruction_vocab}, ground truth {id: …}, R2R a list"),
-    "unknown-top-key": Rule("warning", "loaders ignore it; remove it"),
-    "no-episodes": Rule("warning", "Habitat answers an empty dataset with 'No scenes to load'"),
-    # the vocabulary
-    "missing-vocabulary": Rule("error", "loaders read instruction_vocab.word_list and fail without it"),
-    "vocabulary-inconsistent": Rule("error", "word_list, stoi, itos, word2idx_dict and num_vocab must agree"),
-    "vocabulary-differs": Rule("error", "all splits share one vocabulary: embeddings are trained on its numbers"),
-    # keys
-    "unknown-key": Rule("error", "strict loaders raise TypeError: move it under info"),
-    "missing-key": Rule("error", "strict loaders need it"),
-    "wrong-type": Rule("error", "give a value of the type that loaders expect"),
-    "goals-withheld": Rule("warning", "a split without published goals can't be scored; allowed for a test split"),
-    # ids and scenes
-    "duplicate-id": Rule("error", "ids are compared as text and must differ: later results overwrite earlier ones"),
-    "id-not-integer": Rule("warning", "collectors of StreamVLN and DAgger call int() on it: export again"),
-    "scene-path": Rule("error", "scene_id is a path below scene_datasets such as mp3d/<scan>/<scan>.glb"),
-    "scene-prefix": Rule("warning", "loaders prefix SCENES_DIR themselves: leave data/scene_datasets/ out"),
-    # geometry
-    "not-finite": Rule("error", "drop the episode or give its true value"),
-    "rotation-norm": Rule("error", "a rotation is a unit quaternion"),
-    "rotation-order": Rule("error", "episodes hold [x, y, z, w]; this reads like [w, x, y, z]"),
-    "rotation-tilted": Rule("warning", "agents stand upright: a start rotation is about +y only"),
-    "reference-start": Rule("error", "reference_path begins at start_position"),
-    "reference-goal": Rule("error", "reference_path ends at a goal"),
-    "reference-short": Rule("error", "a reference path has at least two points"),
-    "goal-radius": Rule("error", "a goal's radius is a positive number of metres"),
-    "missing-geodesic": Rule("warning", "info.geodesic_distance is what trainers filter by"),
-    "geodesic-invalid": Rule("error", "a geodesic distance is finite and not negative; the goal may be unreachable"),
-    "geodesic-too-short": Rule("error", "a path can't be shorter than the straight line: wrong goal, start or frame"),
-    "start-is-goal": Rule("warning", "an agent that stops at once succeeds"),
-    # against the navmesh
-    "start-off-mesh": Rule("error", "snap the start to the navmesh of the agent's size"),
-    "goal-off-mesh": Rule(
-        "error", "snap goals to the navmesh: Habitat silently snaps an object's centre up to 4 m away"
-    ),
-    "unreachable": Rule("error", "start and goal lie on different islands: drop the episode"),
-    "geodesic-differs": Rule("error", "the stored distance differs from the navmesh's: another navmesh, goal or start"),
-    # text
-    "empty-text": Rule("error", "an instruction needs words"),
-    "token-range": Rule("error", "a token is an index into the vocabulary"),
-    "token-length": Rule("error", "tokens of all instructions have one length: loaders stack them"),
-    "token-mismatch": Rule("warning", "tokens are not those of the text under this vocabulary"),
-    "unknown-words": Rule("warning", "words outside the vocabulary become UNK"),
-    # ground truth
-    "truth-missing": Rule("error", "nDTW raises KeyError for an episode without ground truth"),
-    "truth-unused": Rule("warning", "no episode has this id"),
-    "truth-empty": Rule("error", "locations need at least one point"),
-    "truth-start": Rule("error", "locations begin at the episode's start"),
-    "truth-goal": Rule("warning", "locations end outside the radius of every goal"),
-    "truth-sparse": Rule("warning", "nDTW is too low with sparse references: densify them to 0.25 m"),
-    "truth-steps": Rule("error", "there is one location more than forward_steps, which counts the 1s in actions"),
-    "truth-actions": Rule("error", "actions are 0 to 3 and end with their only STOP"),
-    # across files
-    "scene-leak": Rule("error", "scenes of training, val_unseen and test must differ"),
-    "episode-leak": Rule("error", "the same text from the same start is in two splits"),
-    # discrete R2R
-    "duplicate-viewpoint": Rule("warning", "a viewpoint is repeated in succession"),
-    "heading-range": Rule("error", "headings are radians in [0, 2π)"),
-    "unknown-viewpoint": Rule("error", "not an included viewpoint of the scan"),
-    "path-disconnected": Rule("error", "two consecutive viewpoints are not connected in the scan's graph"),
-    "distance-differs": Rule("error", "the stored distance differs from the path's length"),
-}
-"""Every code with its severity and remedy."""
+def _read_codes() -> dict[str, Rule]:
+    table = files("condvln.export.validation").joinpath("codes.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(table.splitlines())
+    return {row["code"]: Rule(cast(Severity, row["severity"]), row["remedy"]) for row in rows}
+
+
+CODES: Final = _read_codes()
+"""Every code with its severity and remedy, from ``codes.csv``."""
 
 
 @dataclass(frozen=True, order=True)
@@ -132,3 +87,48 @@ class LintReport:
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(self._findings)
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a JSON number; booleans are not."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def is_point(value: Any, size: int = 3) -> bool:
+    """Return whether a value is a list of ``size`` numbers."""
+    return isinstance(value, list) and len(value) == size and all(is_number(part) for part in value)
+
+
+def points(report: LintReport, place: str, value: Any, size: int = 3) -> bool:
+    """Return whether ``value`` is a list of points; if not, add a finding."""
+    if not isinstance(value, list):
+        report.add(place, "wrong-type", f"not a list of points but {type(value).__name__}")
+        return False
+    for number, point in enumerate(value):
+        if not is_point(point, size):
+            report.add(f"{place}[{number}]", "wrong-type", f"not {size} numbers: {point!r:.60}")
+            return False
+        if not all(math.isfinite(part) for part in point):
+            report.add(f"{place}[{number}]", "not-finite", f"{point}")
+            return False
+    return True
+
+
+def straight(a: Iterable[float], b: Iterable[float]) -> float:
+    """Return the Euclidean distance of two points."""
+    return math.dist(tuple(a), tuple(b))
+
+
+def check_keys(report: LintReport, place: str, record: Any, required: frozenset[str], allowed: frozenset[str]) -> bool:
+    """Return whether ``record`` is an object with all ``required`` keys; unknown and missing keys are added as
+    findings.
+    """
+    if not isinstance(record, dict):
+        report.add(place, "wrong-type", f"not an object but {type(record).__name__}")
+        return False
+    for key in sorted(set(record) - allowed):
+        report.add(f"{place}.{key}" if place else key, "unknown-key", f"unknown key {key!r}")
+    missing = sorted(required - set(record))
+    for key in missing:
+        report.add(place, "missing-key", f"no key {key!r}")
+    return not missing

@@ -1,28 +1,35 @@
-"""Lint files and folders: detect each file's format, pair files that belong together, find leaks between splits."""
+"""Lint files and folders: detect each file's format, pair files that belong together, find leaks between splits, and
+find the navmesh that an episode is checked against.
+
+Our exports name navmeshes in the manifest, by path and hash. Other files name only a scene, whose navmesh is beside the
+mesh, as in Habitat's own datasets.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import orjson
 
 from condvln.export.contents import CERTIFICATES, INDEX, ORIGIN
-from condvln.export.validation.document import Document, PathfinderOf
-from condvln.export.validation.documents import check_document
+from condvln.export.validation.episodes import Document, PathfinderOf, check_document
 from condvln.export.validation.findings import Finding, LintReport
-from condvln.export.validation.r2r import check_r2r
-from condvln.export.validation.truths import check_truths
-from condvln.formats.json_entries import nonstandard_number
+from condvln.export.validation.paths import check_r2r, check_truths
 from condvln.formats.streams import read_unpacked
+from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.graph_pathfinder import GraphPathfinder
-from schemas.errors import InputError, UsageError
-from schemas.file_name import shown_path
+from condvln.navigation.pathfinder import Pathfinder
+from condvln.navigation.scene_navmesh import NavmeshFolder
+from schemas.errors import CondVLNError, InputError, MissingFileError, UsageError, shown_path
 
-__all__ = ["Options", "validate"]
+__all__ = ["EpisodeNavmeshes", "Options", "validate"]
 
 _SUFFIXES: Final = (".json", ".json.gz")
 _TRUTH: Final = "_gt"
@@ -32,16 +39,26 @@ _FORMS: Final = ("_guide", "_follower", "_bertidx", "_raw")
 # Files in an export's folder, or made by related tools, that hold no episodes.
 _OTHERS: Final = (INDEX, ORIGIN, "croissant.json", "embeddings.json.gz")
 
+_SCENES: Final = ("data", "scene_datasets")
+_LEVELS: Final = 3
+"""Number of folders from a split's file up to its export: variant, split, content."""
+
 _GROUPS: Final = {"train": "train", "val_seen": "train", "joint_train_envdrop": "train", "envdrop": "train"}
 """Splits that may share scenes; every other split is a group of its own."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """The navmeshes and graphs that files are checked against."""
+    """The navmeshes and graphs that files are checked against, and what was checked.
+
+    files, entries : names of the files, and numbers of episodes, paths and ground truths by kind; filled by
+        :func:`validate`
+    """
 
     pathfinder_of: PathfinderOf | None = None
     graphs: Mapping[str, GraphPathfinder] = field(default_factory=dict)
+    files: list[str] = field(default_factory=list)
+    entries: Counter[str] = field(default_factory=Counter)
 
 
 def validate(path: Path, options: Options | None = None) -> list[Finding]:
@@ -52,16 +69,17 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
 
     Raises
     ------
-    UsageError : the path does not exist, or holds no such file
+    UsageError : the path does not exist, or holds neither such a file nor an export
     """
     options = options or Options()
     files = [path] if path.is_file() else _files_below(path)
-    if not files:
+    if not files and not any((path / name).is_file() for name in (INDEX, ORIGIN)):
         raise UsageError(
             "no VLN-CE, ANSR-v1, RxR or R2R file found",
             where=path,
             remedy="Name a .json or .json.gz file, or a folder",
         )
+    options.files.extend(_shown(file, path) for file in files)
     findings: list[Finding] = []
     variants: dict[Path, dict[str, tuple[str, Document]]] = {}
     documents: dict[Path, Document] = {}
@@ -85,7 +103,7 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
                 known[split] = (report.file, copy.deepcopy(document))
     for file in files:
         if _is_truth(file):
-            findings += _check_truth_file(file, path, documents)
+            findings += _check_truth_file(file, path, documents, options)
     for splits in variants.values():
         findings += _check_leaks(splits)
     return sorted(findings, key=lambda finding: finding.file)
@@ -94,8 +112,11 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
 def _check_file(report: LintReport, file: Path, options: Options) -> Document | None:
     content = _content(report, file)
     if isinstance(content, dict) and "episodes" in content:
-        return check_document(report, content, options.pathfinder_of)
+        document = check_document(report, content, options.pathfinder_of)
+        options.entries[document.kind] += len(document.starts)
+        return document
     if isinstance(content, list):
+        options.entries["r2r"] += len(content)
         return Document("r2r", scenes=check_r2r(report, content, options.graphs))
     if content is not None:
         report.add("", "unknown-shape", "neither episodes, nor ground truth, nor R2R items")
@@ -164,7 +185,7 @@ def _content(report: LintReport, file: Path) -> Any:
     try:
         return orjson.loads(data)
     except orjson.JSONDecodeError as error:
-        name = nonstandard_number(data)
+        name = _nonstandard_number(data)
         if name:
             report.add("", "not-a-number", f"it holds {name}")
         else:
@@ -172,7 +193,17 @@ def _content(report: LintReport, file: Path) -> Any:
         return None
 
 
-def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]) -> LintReport:
+def _nonstandard_number(data: bytes) -> str:
+    """Return the first NaN or infinity in ``data`` as it is written there; empty if ``data`` has none. Python writes
+    such numbers, although JSON does not allow them.
+    """
+    seen: list[str] = []
+    with suppress(ValueError, RecursionError):
+        json.loads(data, parse_constant=seen.append)
+    return seen[0] if seen else ""
+
+
+def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document], options: Options) -> LintReport:
     report = LintReport(_shown(file, root))
     content = _content(report, file)
     beside = [file.with_name(_stem(file).removesuffix(_TRUTH) + suffix) for suffix in _SUFFIXES]
@@ -180,6 +211,7 @@ def _check_truth_file(file: Path, root: Path, documents: Mapping[Path, Document]
     if document is not None and not document.starts:
         document = _of_shards(file, documents)
     if isinstance(content, dict):
+        options.entries["truth"] += len(content)
         check_truths(report, content, document)
     elif content is not None:
         report.add("", "unknown-shape", "ground truth is {id: {locations, …}}")
@@ -215,3 +247,73 @@ def _check_leaks(splits: Mapping[str, tuple[str, Document]]) -> Iterator[Finding
                 yield Finding(file, place, "episode-leak", message, document.told[key])
             if None not in (document.vocabulary, earlier.vocabulary) and document.vocabulary != earlier.vocabulary:
                 yield Finding(file, "instruction_vocab", "vocabulary-differs", f"is not that of {other}")
+
+
+class EpisodeNavmeshes:
+    """Finds the navmeshes of episodes below some folders.
+
+    Parameters
+    ----------
+    path : the checked file; if it belongs to an export, the export is searched first
+    roots : folders of datasets, or the folder of scene datasets
+
+    Attributes
+    ----------
+    checked : scenes whose navmesh was found
+    lacking : why no navmesh was found, by scene_id
+    """
+
+    def __init__(self, path: Path, roots: Sequence[Path]) -> None:
+        export = next((p for p in (path, *path.parents[: _LEVELS + 1]) if manifest_paths(p)), None)
+        self._roots = tuple(roots)
+        self._recorded = {} if export is None else _recorded(export)
+        self._proven = NavmeshFolder((*([export] if export is not None else []), *roots))
+        self._found: dict[tuple[str, str], Pathfinder | None] = {}
+        self.checked: set[str] = set()
+        self.lacking: dict[str, str] = {}
+
+    def __call__(self, episode: Mapping[str, Any]) -> Pathfinder | None:
+        """Return the pathfinder of an episode's scene; None if no navmesh of the scene exists."""
+        info, scene = episode.get("info"), str(episode.get("scene_id"))
+        digest = str(info.get("navmesh_sha256")) if isinstance(info, dict) else ""
+        key = scene, digest
+        if key not in self._found:
+            self._found[key] = self._load(scene, digest)
+        return self._found[key]
+
+    def _load(self, scene: str, digest: str) -> Pathfinder | None:
+        try:
+            if digest in self._recorded:
+                found = self._proven.load(self._recorded[digest], digest, scene)
+            else:
+                found = Pathfinder.load(self._beside(scene))
+        except CondVLNError as error:
+            self.lacking[scene] = error.what
+            return None
+        self.checked.add(scene)
+        return found
+
+    def _beside(self, scene: str) -> Path:
+        parts = PurePosixPath(scene).parts
+        if parts[:2] == _SCENES:
+            parts = parts[2:]
+        if not parts or ".." in parts or PurePosixPath(scene).is_absolute():
+            raise MissingFileError(f"no navmesh of {scene!r}")
+        name = PurePosixPath(*parts).with_suffix(".navmesh")
+        for root in self._roots:
+            # A root is either the folder of all scene datasets, or of one of them.
+            for relative in (name, PurePosixPath(*name.parts[1:])):
+                if relative.name and (root / relative).is_file():
+                    return root / relative
+        raise MissingFileError(f"no {name} below {', '.join(map(str, self._roots)) or 'any folder'}")
+
+
+def _recorded(export: Path) -> dict[str, str]:
+    """Return the path of each navmesh by its hash, from the manifests; damaged lines are skipped."""
+    found: dict[str, str] = {}
+    for path in manifest_paths(export):
+        for line in manifest_lines(path):
+            with suppress(InputError, KeyError):
+                row = line.fields()
+                found.setdefault(str(row["navmesh_sha256"]), str(row["navmesh"]))
+    return found

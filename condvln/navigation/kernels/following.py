@@ -16,15 +16,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import compiled, constant, inlined
-from condvln.navigation.kernels.astar import Search, new_search
-from condvln.navigation.kernels.geometry import ONE, ZERO
-from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.kernels.movement import Place, StepMemory, copy_place, new_place, new_step_memory, put, step
-from condvln.navigation.kernels.route import INFINITE, route_between
-from condvln.navigation.kernels.straight import MAX_POINTS
+from condvln.compiled import compiled, inlined
+from condvln.navigation.kernels.mesh import ZERO, Point, QueryMesh
+from condvln.navigation.kernels.movement import step
+from condvln.navigation.kernels.path import INFINITE, MAX_POINTS, Search, new_search, route_between
+from condvln.navigation.kernels.projection import Place, place_of
 from condvln.navigation.tile import Floats, Indices
-from condvln.uncounted import keep, uncounted
 
 STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the action ids of VLN-CE
 ARRIVED, NO_PATH, STUCK, TOO_LONG = 0, 1, 2, 3
@@ -32,7 +29,7 @@ ARRIVED, NO_PATH, STUCK, TOO_LONG = 0, 1, 2, 3
 # Metres: a path corner nearer than this gives no direction; the next corner is used.
 TOO_NEAR_TO_AIM = np.float32(0.01)
 # A step is taken without comparing all headings if it shortens the path by this share of a full step.
-GOOD_PROGRESS = np.float32(0.5)
+GOOD_PROGRESS = np.float32(0.9)
 # Without sliding, steps that end at a wall are also considered if progress is below this share of a full step.
 SLOW_PROGRESS = np.float32(0.25)
 # Metres: a step that shortens the path by less is not progress.
@@ -40,8 +37,6 @@ LEAST_PROGRESS = np.float32(1e-3)
 # Number of positions tried in the search for a path around, and the distance in metres under which two are merged.
 MAX_AROUND = 512
 SAME_PLACE = np.float32(0.02)
-# A walk that is not careful; see `follow`.
-BOLD = constant(False)
 # Tolerance in radians of "within one turn", for rounding.
 TURN_SLACK = 1e-6
 
@@ -71,23 +66,30 @@ class Limits(NamedTuple):
     """if no step leads nearer"""
 
 
+class Leg(NamedTuple):
+    """What a walk to one goal needs."""
+
+    mesh: QueryMesh
+    search: Search
+    gait: Gait
+    goal: Place
+    limits: Limits
+    corners: Floats
+    """(MAX_POINTS, 3) corners of the path that was measured last"""
+
+
 @compiled
-def _remaining(mesh: QueryMesh, search: Search, place: Place, goal: Place, points: Floats) -> tuple[np.float32, int]:
-    """Return the geodesic distance from a place to the goal, and the number of corners of the path. The corners are
-    written to ``points``.
-    """
-    at, to = place.at, goal.at
-    return route_between(
-        mesh, search, place.asked, place.poly[0], at[0], at[1], at[2], goal.asked, goal.poly[0], to[0], to[1], to[2],
-        points,
-    )  # fmt: skip
+def _remaining(leg: Leg, place: Place) -> tuple[np.float32, int]:
+    """Return the geodesic distance from a place to the goal, and the number of corners of the path."""
+    return route_between(leg.mesh, leg.search, place, leg.goal, leg.corners)
 
 
 @inlined
-def _turns_to_aim(gait: Gait, heading: int, points: Floats, count: int) -> float:
-    """Return how many turn actions lead from ``heading`` to the direction of the path ``points``: a fraction, positive
-    for left turns, at most 180° either way.
+def _turns_to_aim(leg: Leg, heading: int, count: int) -> float:
+    """Return how many turn actions lead from ``heading`` to the direction of the path of ``count`` corners: a fraction,
+    positive for left turns, at most 180° either way.
     """
+    points, gait = leg.corners, leg.gait
     for i in range(1, count):
         dx = points[i, 0] - points[0, 0]
         dz = points[i, 2] - points[0, 2]
@@ -109,43 +111,26 @@ def _candidate(number: int, off: float) -> int:
 
 
 @compiled
-def _try_heading(mesh: QueryMesh, gait: Gait, place: Place, heading: int, memory: StepMemory, reached: Place) -> bool:
-    """Step from a place along a heading, and write the end of the step to ``reached``. Return whether no wall was
-    hit.
-    """
-    end = memory.end
-    end[0] = place.asked[0] + gait.moves[heading, 0]
-    end[1] = place.asked[1]
-    end[2] = place.asked[2] + gait.moves[heading, 1]
-    step(mesh, place, gait.sliding, memory, reached)
-    return bool(reached.asked[0] == end[0] and reached.asked[2] == end[2])
+def _step_along(mesh: QueryMesh, gait: Gait, place: Place, heading: int) -> tuple[Place, bool]:
+    """Return the place after a step along a heading, and whether no wall was hit."""
+    end = np.array(place.asked, np.float32)
+    end[0] = end[0] + gait.moves[heading, 0]
+    end[2] = end[2] + gait.moves[heading, 1]
+    reached = step(mesh, place, end, gait.sliding)
+    return reached, bool(reached.asked[0] == end[0] and reached.asked[2] == end[2])
 
 
-@inlined
+@compiled
 def _best_heading(
-    mesh: QueryMesh,
-    search: Search,
-    memory: StepMemory,
-    gait: Gait,
-    place: Place,
-    heading: int,
-    off: float,
-    distance: np.float32,
-    goal: Place,
-    near_enough: np.float32,
-    contact: bool,
-    points: Floats,
-    tried: Place,
-) -> tuple[int, np.float32, int]:
-    """Return the heading of the best step from a place, and the geodesic distance after this step. The results are -1
-    and infinity if no step is possible.
+    leg: Leg, place: Place, heading: int, off: float, distance: np.float32, contact: bool
+) -> tuple[int, np.float32]:
+    """Return the heading of the best step from a place, and the geodesic distance after this step; -1 and infinity if
+    no step is possible.
 
     The current heading is tried first if it is within one turn of the path's direction, then the headings nearest to
-    that direction. The first with good progress is taken, otherwise the one with most progress. In the first case
-    ``tried`` is the end of the step, ``points`` the path from there, and the third value the number of corners of this
-    path; otherwise the third value is 0.
+    that direction. The first with good progress is taken, otherwise the one with most progress.
     """
-    headings = gait.moves.shape[0]
+    headings, sliding = leg.gait.moves.shape[0], leg.gait.sliding
     best_heading = -1
     best = INFINITE
     straight_first = abs(off) <= 1.0 + TURN_SLACK
@@ -154,104 +139,71 @@ def _best_heading(
         if number >= 0 and straight_first and turns == 0:
             continue
         candidate = (heading + turns) % headings
-        free = _try_heading(mesh, gait, place, candidate, memory, tried)
+        reached, free = _step_along(leg.mesh, leg.gait, place, candidate)
         if not (free or contact):
             continue
-        after, corners = _remaining(mesh, search, tried, goal, points)
-        if not (free or gait.sliding):
-            corners = 0  # the next line overwrites the points
-            if not _can_go_on(mesh, search, memory, gait, tried, after, goal, points):
-                continue
+        after, _ = _remaining(leg, reached)
+        if not (free or sliding or _can_go_on(leg, reached, after)):
+            continue
         if after < best:
             best = after
             best_heading = candidate
-        if distance - after >= GOOD_PROGRESS * gait.length or after <= near_enough:
-            return candidate, after, corners
-    return best_heading, best, 0
+        if distance - after >= GOOD_PROGRESS * leg.gait.length or after <= leg.limits.stop_within:
+            return candidate, after
+    return best_heading, best
 
 
-@inlined
-def _can_go_on(
-    mesh: QueryMesh,
-    search: Search,
-    memory: StepMemory,
-    gait: Gait,
-    place: Place,
-    distance: np.float32,
-    goal: Place,
-    points: Floats,
-) -> bool:
+@compiled
+def _can_go_on(leg: Leg, place: Place, distance: np.float32) -> bool:
     """Return whether some step from a place at a wall shortens the path to the goal."""
-    held, found = new_place(), False
-    tried = uncounted(held)
-    for heading in range(gait.moves.shape[0]):
-        _try_heading(mesh, gait, place, heading, memory, tried)
-        after, _ = _remaining(mesh, search, tried, goal, points)
+    for heading in range(leg.gait.moves.shape[0]):
+        reached, _ = _step_along(leg.mesh, leg.gait, place, heading)
+        after, _ = _remaining(leg, reached)
         if distance - after >= LEAST_PROGRESS:
-            found = True
-            break
-    keep(held)
-    return found
+            return True
+    return False
 
 
-@inlined
-def _way_around(
-    mesh: QueryMesh,
-    search: Search,
-    memory: StepMemory,
-    gait: Gait,
-    place: Place,
-    distance: np.float32,
-    goal: Place,
-    contact: bool,
-    points: Floats,
-) -> Indices:
+@compiled
+def _way_around(leg: Leg, place: Place, distance: np.float32, contact: bool) -> Indices:
     """Return the headings of steps that lead from a place around an obstacle to a position from which the path to the
     goal is shorter. The result is empty if no such steps were found.
 
     Best-first search over positions reached by steps, nearest to the goal first.
     """
-    held = np.empty((2, MAX_AROUND, 3), np.float32), np.empty((MAX_AROUND, 1), np.int64), new_place()
-    both, polys, tried = uncounted(held)
-    places, snapped = both[0], both[1]
-    found = np.empty(0, np.int64)
+    places = np.empty((MAX_AROUND, 3), np.float32)
     left = np.empty(MAX_AROUND, np.float32)
     parent = np.empty(MAX_AROUND, np.int64)
     taken = np.empty(MAX_AROUND, np.int64)
     done = np.zeros(MAX_AROUND, np.bool_)
-    copy_place(place, Place(places[0], snapped[0], polys[0]))
+    places[0] = np.array(place.asked)
     left[0], parent[0], taken[0] = distance, -1, -1
-    count, searching = int(ONE), True
-    while searching:
+    count = 1
+    while True:
         node = -1
         for i in range(count):
             if not done[i] and (node < 0 or left[i] < left[node]):
                 node = i
         if node < 0:
-            break
+            return np.empty(0, np.int64)
         done[node] = True
-        begin = Place(places[node], snapped[node], polys[node])
-        for heading in range(gait.moves.shape[0]):
-            free = _try_heading(mesh, gait, begin, heading, memory, tried)
-            if not (free or contact) or _known(places, count, tried.asked):
+        begin = place_of(leg.mesh, places[node])
+        for heading in range(leg.gait.moves.shape[0]):
+            reached, free = _step_along(leg.mesh, leg.gait, begin, heading)
+            if not (free or contact) or _known(places, count, reached.asked):
                 continue
-            after, _ = _remaining(mesh, search, tried, goal, points)
+            after, _ = _remaining(leg, reached)
             if count == MAX_AROUND:
-                searching = False
-                break
-            copy_place(tried, Place(places[count], snapped[count], polys[count]))
+                return np.empty(0, np.int64)
+            places[count] = np.array(reached.asked)
             left[count], parent[count], taken[count] = after, node, heading
             count += 1
             if after < distance - LEAST_PROGRESS:
-                found = _headings_to(parent, taken, count - 1)
-                searching = False
-                break
-    keep(held)
-    return found
+                return _headings_to(parent, taken, count - 1)
 
 
 @inlined
-def _known(places: Floats, count: int, place: Floats) -> bool:
+def _known(places: Floats, count: int, place: Point) -> bool:
     for i in range(count):
         dx = places[i, 0] - place[0]
         dy = places[i, 1] - place[1]
@@ -261,183 +213,39 @@ def _known(places: Floats, count: int, place: Floats) -> bool:
     return False
 
 
-@inlined
+@compiled
 def _headings_to(parent: Indices, taken: Indices, node: int) -> Indices:
+    backwards = np.empty(node, np.int64)
     length = 0
-    at = node
-    while parent[at] >= 0:
+    while parent[node] >= 0:
+        backwards[length] = taken[node]
         length += 1
-        at = parent[at]
-    headings = np.empty(length, np.int64)
-    at = node
-    for i in range(length - 1, -1, -1):
-        headings[i] = taken[at]
-        at = parent[at]
-    return headings
+        node = parent[node]
+    return backwards[:length][::-1].copy()
 
 
-@inlined
-def _plan(
-    mesh: QueryMesh,
-    search: Search,
-    memory: StepMemory,
-    gait: Gait,
-    place: Place,
-    heading: int,
-    path: Floats,
-    corners: int,
-    distance: np.float32,
-    goal: Place,
-    limits: Limits,
-    careful: bool,
-    points: Floats,
-    tried: Place,
-) -> tuple[Indices, np.float32, int]:
+@compiled
+def _plan(leg: Leg, place: Place, heading: int, corners: int, distance: np.float32, careful: bool) -> Indices:
     """Return the headings of the next steps: of one step that shortens the path, or of several steps around an
-    obstacle; empty if neither exists.
-
-    The other two values are those that :func:`_best_heading` returns. If the last one is not 0, the step has already
-    been made.
+    obstacle; empty if neither exists. The path from the place is the one that was measured last.
     """
-    off = _turns_to_aim(gait, heading, path, corners)
-    best, after, known = -1, INFINITE, 0
-    for attempt in range(1 if gait.sliding or careful else 2):
-        if attempt == 1 and distance - after >= SLOW_PROGRESS * gait.length:
+    sliding = leg.gait.sliding
+    off = _turns_to_aim(leg, heading, corners)
+    best, after = -1, INFINITE
+    for attempt in range(1 if sliding or careful else 2):
+        if attempt == 1 and distance - after >= SLOW_PROGRESS * leg.gait.length:
             break
-        contact = gait.sliding or attempt == 1
-        other, after_other, known_other = _best_heading(
-            mesh, search, memory, gait, place, heading, off, distance, goal, limits.stop_within, contact, points, tried
-        )
-        known = 0
+        other, after_other = _best_heading(leg, place, heading, off, distance, sliding or attempt == 1)
         if after_other < after:
-            best, after, known = other, after_other, known_other
+            best, after = other, after_other
     if distance - after >= LEAST_PROGRESS:
-        return np.full(1, best, np.int64), after, known
+        return np.full(1, best, np.int64)
     around = np.empty(0, np.int64)
-    if distance > limits.arrive_within:
-        for attempt in range(1 if gait.sliding else 2):
-            contact = gait.sliding or attempt == 1
-            around = _way_around(mesh, search, memory, gait, place, distance, goal, contact, points)
-            if around.shape[0] > 0:
-                break
-    return around, after, 0
-
-
-class _WalkMemory(NamedTuple):
-    """Working memory of one thread for walks."""
-
-    search: Search
-    step: StepMemory
-    place: Place
-    reached: Place
-    goal: Place
-    corners: Floats
-    """(2, MAX_POINTS, 3)"""
-
-
-@compiled
-def _new_walk_memory(polygons: int) -> _WalkMemory:
-    return _WalkMemory(
-        new_search(polygons),
-        new_step_memory(),
-        new_place(),
-        new_place(),
-        new_place(),
-        np.empty((2, MAX_POINTS, 3), np.float32),
-    )
-
-
-@compiled
-def _walk(
-    mesh: QueryMesh,
-    gait: Gait,
-    start: Floats,
-    goals: Floats,
-    limits: Limits,
-    max_actions: int,
-    careful: bool,
-    held: _WalkMemory,
-    actions: npt.NDArray[np.int8],
-    locations: Floats,
-    arrivals: Indices,
-) -> tuple[int, int, np.float32, int]:
-    """Walk as `follow` says, and write to ``actions``, ``locations`` and ``arrivals``, which are long enough. Return
-    the number of actions before STOP, that of forward steps, the remaining geodesic metres, and the outcome.
-    """
-    headings = gait.moves.shape[0]
-    search, memory, place, reached, goal = held.search, held.step, held.place, held.reached, held.goal
-    points, scratch = held.corners[0], held.corners[1]
-    locations[0] = start
-    for number in range(goals.shape[0]):
-        arrivals[number] = -1
-    put(mesh, start, place)
-    locations[0] = start
-    made, walked, heading = 0, 0, int(ZERO)  # a literal would make numba compile the callees again
-    status = ARRIVED
-    distance = ZERO
-    for number in range(goals.shape[0]):
-        put(mesh, goals[number], goal)
-        distance, count = _remaining(mesh, search, place, goal, points)
-        if distance == INFINITE:
-            status = NO_PATH
-        plan = np.empty(0, np.int64)
-        taken, known, after = 0, 0, INFINITE
-        while status == ARRIVED and distance > limits.stop_within:
-            if taken == plan.shape[0]:
-                plan, after, known = _plan(
-                    mesh,
-                    search,
-                    memory,
-                    gait,
-                    place,
-                    heading,
-                    points,
-                    count,
-                    distance,
-                    goal,
-                    limits,
-                    careful,
-                    scratch,
-                    reached,
-                )
-                taken = 0
-                if plan.shape[0] == 0:
-                    if distance > limits.arrive_within:
-                        status = STUCK
-                    break
-            towards = plan[taken]
-            taken += 1
-            turns = (towards - heading) % headings
-            turned = LEFT
-            if turns > headings - turns:
-                turns = headings - turns
-                turned = RIGHT
-            if made + turns + 1 > max_actions:
-                status = TOO_LONG
-                break
-            for _ in range(turns):
-                actions[made] = turned
-                made += 1
-            actions[made] = FORWARD
-            made += 1
-            walked += 1
-            heading = towards
-            if known > 0:
-                # The step was made in planning, and the path from its end is in ``scratch``.
-                distance, count = after, known
-                points, scratch = scratch, points
-                known = 0
-            else:
-                _try_heading(mesh, gait, place, heading, memory, reached)
-                distance, count = _remaining(mesh, search, reached, goal, points)
-            place, reached = reached, place
-            for axis in range(3):
-                locations[walked, axis] = place.asked[axis]
-        if status != ARRIVED:
-            break
-        arrivals[number] = walked
-    actions[made] = STOP
-    return made, walked, distance, status
+    if distance > leg.limits.arrive_within:
+        around = _way_around(leg, place, distance, sliding)
+        if around.shape[0] == 0 and not sliding:
+            around = _way_around(leg, place, distance, True)
+    return around
 
 
 @compiled
@@ -458,13 +266,48 @@ def follow(
     """
     actions = np.empty(max_actions + 1, np.int8)
     locations = np.empty((max_actions + 1, 3), np.float32)
-    arrivals = np.empty(goals.shape[0], np.int64)
-    held = _new_walk_memory(mesh.poly_size.shape[0])
-    made, walked, distance, status = _walk(
-        uncounted(mesh), uncounted(gait), uncounted(start), uncounted(goals), limits, max_actions, careful,
-        uncounted(held), uncounted(actions), uncounted(locations), uncounted(arrivals),
-    )  # fmt: skip
-    keep(held)
+    arrivals = np.full(goals.shape[0], -1, np.int64)
+    search, corners = new_search(mesh.poly_size.shape[0]), np.empty((MAX_POINTS, 3), np.float32)
+    headings = gait.moves.shape[0]
+    place = place_of(mesh, start)
+    locations[0] = start
+    made, walked, heading = 0, 0, 0
+    status = ARRIVED
+    distance = ZERO
+    for number in range(goals.shape[0]):
+        leg = Leg(mesh, search, gait, place_of(mesh, goals[number]), limits, corners)
+        distance, count = _remaining(leg, place)
+        if distance == INFINITE:
+            status = NO_PATH
+        plan, taken = np.empty(0, np.int64), 0
+        while status == ARRIVED and distance > limits.stop_within:
+            if taken == plan.shape[0]:
+                plan, taken = _plan(leg, place, heading, count, distance, careful), 0
+                if plan.shape[0] == 0:
+                    if distance > limits.arrive_within:
+                        status = STUCK
+                    break
+            turns = (plan[taken] - heading) % headings
+            turned = LEFT
+            if turns > headings - turns:
+                turns = headings - turns
+                turned = RIGHT
+            if made + turns + 1 > max_actions:
+                status = TOO_LONG
+                break
+            actions[made : made + turns] = turned
+            actions[made + turns] = FORWARD
+            made += turns + 1
+            walked += 1
+            heading = plan[taken]
+            taken += 1
+            place, _ = _step_along(mesh, gait, place, heading)
+            distance, count = _remaining(leg, place)
+            locations[walked] = np.array(place.asked)
+        if status != ARRIVED:
+            break
+        arrivals[number] = walked
+    actions[made] = STOP
     return actions[: made + 1].copy(), locations[: walked + 1].copy(), arrivals, distance, status
 
 
@@ -473,100 +316,18 @@ def replay(mesh: QueryMesh, gait: Gait, start: Floats, actions: npt.NDArray[np.i
     """Return the positions (n + 1, 3) and headings (n + 1,) of an agent before the first of n actions and after each
     action.
     """
-    mesh, gait = uncounted(mesh), uncounted(gait)
     headings = gait.moves.shape[0]
     places = np.empty((actions.shape[0] + 1, 3), np.float32)
-    facing = np.empty(actions.shape[0] + 1, np.int64)
-    places[0], facing[0] = start, 0
-    held = (new_step_memory(), new_place(), new_place())
-    memory, place, reached = uncounted(held)
-    put(mesh, uncounted(start), place)
+    facing = np.zeros(actions.shape[0] + 1, np.int64)
+    places[0] = start
+    place = place_of(mesh, start)
     for i in range(actions.shape[0]):
         facing[i + 1] = facing[i]
         if actions[i] == FORWARD:
-            _try_heading(mesh, gait, place, facing[i], memory, reached)
-            place, reached = reached, place
+            place, _ = _step_along(mesh, gait, place, facing[i])
         elif actions[i] == LEFT:
             facing[i + 1] = (facing[i] + 1) % headings
         elif actions[i] == RIGHT:
             facing[i + 1] = (facing[i] - 1) % headings
-        for axis in range(3):
-            places[i + 1, axis] = place.asked[axis]
-    keep(held)
+        places[i + 1] = np.array(place.asked)
     return places, facing
-
-
-@compiled
-def follow_many(
-    mesh: QueryMesh,
-    gait: Gait,
-    moves: Floats,
-    headings: npt.NDArray[np.float64],
-    starts: Floats,
-    goals: Floats,
-    goal_ends: Indices,
-    limits: Limits,
-    max_actions: int,
-) -> tuple[npt.NDArray[np.int8], Indices, Floats, Indices, Indices, Floats, Indices]:
-    """Return what `follow` returns for each of n walks: the actions and the locations, concatenated and each with the
-    end index (n,) of each walk, the arrivals (g,), the remaining distances (n,) and the outcomes (n,).
-
-    moves (n, h, 2), headings (n,), starts (n, 3) : of each walk, or one of all walks; ``gait`` holds the rest, which
-        all share
-    goals (g, 3), goal_ends (n,) : of all walks, concatenated
-    """
-    count, longest = len(goal_ends), max_actions + 1
-    actions, locations = np.empty(2 * longest, np.int8), np.empty((2 * longest, 3), np.float32)
-    ends, location_ends, arrivals = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(len(goals), np.int64)
-    distances, outcomes = np.empty(count, np.float32), np.empty(count, np.int64)
-    held = _new_walk_memory(mesh.poly_size.shape[0])
-    first, made, walked = 0, 0, 0
-    for walk in range(count):
-        if made + longest > len(actions):  # locations are never more than actions
-            more, longer = np.empty(2 * len(actions), np.int8), np.empty((2 * len(actions), 3), np.float32)
-            for k in range(made):  # value by value: assigning a part of an array takes seconds to compile
-                more[k] = actions[k]
-            for k in range(walked):
-                for axis in range(3):
-                    longer[k, axis] = locations[k, axis]
-            actions, locations = more, longer
-        of = min(walk, len(starts) - 1)
-        own = Gait(moves[of], headings[of], gait.turn, gait.length, gait.sliding)
-        turns, steps, distances[walk], outcomes[walk] = _walk(
-            uncounted(mesh), uncounted(own), uncounted(starts[of]), uncounted(goals[first : goal_ends[walk]]), limits,
-            max_actions, BOLD, uncounted(held), uncounted(actions[made:]), uncounted(locations[walked:]),
-            uncounted(arrivals[first : goal_ends[walk]]),
-        )  # fmt: skip
-        first, made, walked = goal_ends[walk], made + turns + 1, walked + steps + 1
-        ends[walk], location_ends[walk] = made, walked
-    keep(held)
-    return actions[:made].copy(), ends, locations[:walked].copy(), location_ends, arrivals, distances, outcomes
-
-
-@compiled
-def replay_many(
-    mesh: QueryMesh,
-    gait: Gait,
-    moves: Floats,
-    headings: npt.NDArray[np.float64],
-    starts: Floats,
-    actions: npt.NDArray[np.int8],
-    ends: Indices,
-) -> tuple[Floats, Indices]:
-    """Return the start of each of n walks and the position after each of its forward steps, concatenated (p, 3), and
-    the end index (n,) of each walk there.
-
-    moves, headings, starts, gait : as for `follow_many`
-    actions (a,), ends (n,) : of all walks, concatenated, and where each ends
-    """
-    found, found_ends = np.empty((len(starts) + len(actions), 3), np.float32), np.empty(len(starts), np.int64)
-    first, count = 0, 0
-    for walk in range(len(starts)):
-        own = Gait(moves[walk], headings[walk], gait.turn, gait.length, gait.sliding)
-        places, _ = replay(mesh, own, starts[walk], actions[first : ends[walk]])
-        for at in range(len(places)):
-            if at == 0 or actions[first + at - 1] == FORWARD:
-                found[count] = places[at]
-                count += 1
-        first, found_ends[walk] = ends[walk], count
-    return found[:count], found_ends

@@ -6,28 +6,31 @@ thickness, and, if sliding is off, a stop at the first wall that the step hits.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-import numpy.typing as npt
 
 from condvln.compiled import compiled, inlined
-from condvln.navigation.kernels.astar import (
-    CLOSED,
-    OPEN,
-    Search,
-    edge_to,
-    moved_up,
-    new_search,
-    place_at_edge,
-    pop,
-    push,
+from condvln.navigation.kernels.mesh import (
+    GREATEST,
+    HALF,
+    ONE,
+    ZERO,
+    Point,
+    QueryMesh,
+    corner,
+    distance,
+    inside_polygon,
+    point_to_segment,
 )
-from condvln.navigation.kernels.geometry import GREATEST, HALF, ONE, ZERO, distance, inside_polygon, point_to_segment
-from condvln.navigation.kernels.mesh import QueryMesh
-from condvln.navigation.kernels.projection import ANY_ISLAND, NO_POLYGON, height_on_polygon, nearest_polygon
+from condvln.navigation.kernels.path import CLOSED, OPEN, Search, begin_search, edge_to, new_search, pop, push, visit
+from condvln.navigation.kernels.projection import (
+    ANY_ISLAND,
+    NO_POLYGON,
+    Place,
+    height_on_polygon,
+    nearest_polygon,
+    place_of,
+)
 from condvln.navigation.tile import Floats, Indices
-from condvln.uncounted import keep, uncounted
 
 MAX_VISITED = 64  # size of Detour's small node pool
 MAX_QUEUE = 48  # size of its queue
@@ -36,72 +39,11 @@ PARALLEL = np.float32(1e-6)  # m²: segments with a smaller cross product don't 
 NUDGE = np.float32(1e-4)  # metres; habitat-sim moves points this far off an edge shared by two islands
 
 
-class Place(NamedTuple):
-    """A position and its projection onto the navmesh."""
-
-    asked: Floats
-    """(3,) as requested"""
-    at: Floats
-    """(3,) as projected"""
-    poly: Indices
-    """(1,) polygon of the projection"""
-
-
-class StepMemory(NamedTuple):
-    """Working memory of one thread for a step, which visits at most 64 polygons."""
-
-    polys: Indices
-    parent: Indices
-    closed: npt.NDArray[np.bool_]
-    queue: Indices
-    visited: Indices
-    """polygons that the step passes through"""
-    end: Floats
-    """(3,) where the step leads to"""
-
-
 @compiled
-def new_step_memory() -> StepMemory:
-    """Return empty working memory."""
-    return StepMemory(
-        np.empty(MAX_VISITED, np.int64),
-        np.empty(MAX_VISITED, np.int64),
-        np.empty(MAX_VISITED, np.bool_),
-        np.empty(MAX_VISITED, np.int64),
-        np.empty(MAX_VISITED, np.int64),
-        np.empty(3, np.float32),
-    )
-
-
-@compiled
-def new_place() -> Place:
-    """Return a place whose numbers are not set."""
-    return Place(np.empty(3, np.float32), np.empty(3, np.float32), np.empty(1, np.int64))
-
-
-@compiled
-def put(mesh: QueryMesh, point: Floats, place: Place) -> None:
-    """Set a place to a point (3,)."""
-    poly, x, y, z = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
-    place.poly[0], place.at[0], place.at[1], place.at[2] = poly, x, y, z
-    for axis in range(3):
-        place.asked[axis] = point[axis]
-
-
-@compiled
-def copy_place(source: Place, target: Place) -> None:
-    """Set a place to another one."""
-    for axis in range(3):
-        target.asked[axis] = source.asked[axis]
-        target.at[axis] = source.at[axis]
-    target.poly[0] = source.poly[0]
-
-
-@compiled
-def _passable(neighbours: Indices, walkable: npt.NDArray[np.uint8], poly: int, edge: int) -> int:
+def _passable(mesh: QueryMesh, poly: int, edge: int) -> int:
     """Return the walkable polygon across an edge, or -1."""
-    other = int(neighbours[poly, edge])  # -1 for a wall
-    if walkable[max(other, 0)] == 0:
+    other = int(mesh.neighbours[poly, edge])  # -1 for a wall
+    if mesh.walkable[max(other, 0)] == 0:
         other = -1
     return other
 
@@ -115,26 +57,24 @@ def _node_of(polys: Indices, count: int, poly: int) -> int:
 
 
 @inlined
-def move_along_surface(mesh: QueryMesh, start_poly: int, start: Floats, reached: Floats, memory: StepMemory) -> int:
-    """Slide from ``start`` towards ``memory.end``. Write the final position to ``reached`` and the polygons on the path
-    to ``memory.visited``; return the number of these polygons.
-    """
-    polys, parent, closed, queue, end = memory.polys, memory.parent, memory.closed, memory.queue, memory.end
-    polys[0], parent[0], closed[0], queue[0] = start_poly, -1, True, 0
-    nodes, head, tail = int(ONE), 0, 1  # a literal would make numba compile the callees again
+def move_along_surface(mesh: QueryMesh, start: Place, end: Floats) -> tuple[Floats, Indices]:
+    """Slide from ``start`` towards ``end`` (3,). Return the final position (3,) and the polygons on the path."""
+    polys, parent = np.empty(MAX_VISITED, np.int64), np.empty(MAX_VISITED, np.int64)
+    closed, queue = np.empty(MAX_VISITED, np.bool_), np.empty(MAX_VISITED, np.int64)
+    polys[0], parent[0], closed[0], queue[0] = start.poly, -1, True, 0
+    nodes, head, tail = 1, 0, 1
     best_node = -1
     best = GREATEST
-    for axis in range(3):
-        reached[axis] = start[axis]
-    middle_x = start[0] + (end[0] - start[0]) * HALF
-    middle_z = start[2] + (end[2] - start[2]) * HALF
-    radius = distance(start[0], start[1], start[2], end[0], end[1], end[2]) / np.float32(2.0) + SEARCH_SLACK
+    at, reached = start.at, np.array(start.at, np.float32)
+    middle_x = at[0] + (end[0] - at[0]) * HALF
+    middle_z = at[2] + (end[2] - at[2]) * HALF
+    radius = distance(at, (end[0], end[1], end[2])) / np.float32(2.0) + SEARCH_SLACK
     radius_squared = radius * radius
     while head < tail:
         node = queue[head]
         head += 1
         poly = polys[node]
-        if inside_polygon(mesh.verts, mesh.poly_verts, mesh.poly_size, poly, end[0], end[2]):
+        if inside_polygon(mesh, poly, end[0], end[2]):
             best_node = node
             for axis in range(3):
                 reached[axis] = end[axis]
@@ -144,7 +84,7 @@ def move_along_surface(mesh: QueryMesh, start_poly: int, start: Floats, reached:
         for following in range(size):
             a = mesh.verts[mesh.poly_verts[poly, edge]]
             b = mesh.verts[mesh.poly_verts[poly, following]]
-            other = _passable(mesh.neighbours, mesh.walkable, poly, edge)
+            other = _passable(mesh, poly, edge)
             if other < 0:
                 d, along = point_to_segment(end[0], end[2], a[0], a[2], b[0], b[2])
                 if d < best:
@@ -171,21 +111,21 @@ def move_along_surface(mesh: QueryMesh, start_poly: int, start: Floats, reached:
     while node >= 0:
         count += 1
         node = parent[node]
+    visited = np.empty(count, np.int64)
     node = best_node
     for i in range(count - 1, -1, -1):
-        memory.visited[i] = polys[node]
+        visited[i] = polys[node]
         node = parent[node]
-    return count
+    return reached, visited
 
 
 @inlined
-def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices, count: int, reached: Floats) -> None:
+def _stop_at_wall(mesh: QueryMesh, start: Point, end: Floats, visited: Indices, reached: Floats) -> None:
     """Move ``reached`` back to the point where the segment from ``start`` to ``end`` crosses a wall of the visited
     polygons. If it crosses several walls, the crossing nearest to ``end`` is taken.
     """
     best = GREATEST
-    for i in range(count):
-        poly = visited[i]
+    for poly in visited:
         size = mesh.poly_size[poly]
         for edge in range(size):
             if mesh.neighbours[poly, edge] >= 0:
@@ -213,32 +153,24 @@ def _stop_at_wall(mesh: QueryMesh, start: Floats, end: Floats, visited: Indices,
 
 
 @compiled
-def step(mesh: QueryMesh, start: Place, sliding: bool, memory: StepMemory, reached: Place) -> None:
-    """Move from ``start`` towards ``memory.end`` as habitat-sim's ``tryStep`` does, and write the final position to
-    ``reached``.
-    """
-    copy_place(start, reached)
-    poly, end = start.poly[0], memory.end
+def step(mesh: QueryMesh, start: Place, end: Floats, sliding: bool) -> Place:
+    """Return where a move from ``start`` towards ``end`` (3,) ends, as habitat-sim's ``tryStep`` does."""
     end_poly, _, _, _ = nearest_polygon(mesh, end[0], end[1], end[2], ANY_ISLAND)
-    if poly != NO_POLYGON and end_poly != NO_POLYGON and mesh.island[poly] == mesh.island[end_poly]:
-        island = mesh.island[poly]
-        count = move_along_surface(mesh, poly, start.at, reached.asked, memory)
-        if count == 0:
-            copy_place(start, reached)
-        else:
+    place = start
+    if start.poly != NO_POLYGON and end_poly != NO_POLYGON and mesh.island[start.poly] == mesh.island[end_poly]:
+        reached, visited = move_along_surface(mesh, start, end)
+        if visited.shape[0] > 0:
             if not sliding:
-                _stop_at_wall(mesh, start.at, end, memory.visited, count, reached.asked)
-            last = memory.visited[count - 1]
-            over, height = height_on_polygon(
-                mesh.verts, mesh.poly_verts, mesh.poly_size, mesh.tri_start, mesh.tri_points, mesh.tri_edges,
-                last, reached.asked[0], reached.asked[2],
-            )  # fmt: skip
+                _stop_at_wall(mesh, start.at, end, visited, reached)
+            last = visited[-1]
+            over, height = height_on_polygon(mesh, last, reached[0], reached[2])
             if over:
-                reached.asked[1] = height
-            put(mesh, reached.asked, reached)
-            if reached.poly[0] == NO_POLYGON or mesh.island[reached.poly[0]] != island:
-                _nudge_inwards(mesh, last, reached.asked)
-                put(mesh, reached.asked, reached)
+                reached[1] = height
+            place = place_of(mesh, reached)
+            if place.poly == NO_POLYGON or mesh.island[place.poly] != mesh.island[start.poly]:
+                _nudge_inwards(mesh, last, reached)
+                place = place_of(mesh, reached)
+    return place
 
 
 @inlined
@@ -264,16 +196,10 @@ def _nudge_inwards(mesh: QueryMesh, poly: int, point: Floats) -> None:
 def steps(mesh: QueryMesh, starts: Floats, ends: Floats, sliding: bool) -> Floats:
     """Return the end points (n, 3) of n moves from ``starts`` towards ``ends``, each as :func:`step` gives it."""
     reached = np.empty((starts.shape[0], 3), np.float32)
-    mesh, starts, held = uncounted(mesh), uncounted(starts), (new_step_memory(), new_place(), new_place())
-    memory, begin, place = uncounted(held)
     for i in range(starts.shape[0]):
-        put(mesh, starts[i], begin)
-        for axis in range(3):
-            memory.end[axis] = ends[i, axis]
-        step(mesh, begin, sliding, memory, place)
+        place = step(mesh, place_of(mesh, starts[i]), ends[i], sliding)
         for axis in range(3):
             reached[i, axis] = place.asked[axis]
-    keep(held)
     return reached
 
 
@@ -290,27 +216,18 @@ def nearest_wall(
     """
     hit[:] = ZERO
     normal[:] = ZERO
-    centre = np.empty(3, np.float32)
-    start, centre[0], centre[1], centre[2] = nearest_polygon(mesh, point[0], point[1], point[2], ANY_ISLAND)
-    if start == NO_POLYGON:
+    place = place_of(mesh, point)
+    centre = place.at
+    if place.poly == NO_POLYGON:
         return np.float32(np.inf)
-    search.counters[0] += 1
-    this_round = search.counters[0]
-    search.counters[1] = 0
-    search.round[start] = this_round
-    search.position[start] = centre
-    search.parent[start] = -1
-    search.total[start] = ZERO
-    search.state[start] = OPEN
-    push(search.heap, search.total, search.counters, start)
+    begin_search(search, place.poly, centre, ZERO)
     radius_squared = max_radius * max_radius
     while search.counters[1] > 0:
-        poly = pop(search.heap, search.total, search.counters)
-        search.state[poly] = CLOSED
+        poly = pop(search)
         size = mesh.poly_size[poly]
         edge = size - 1
         for following in range(size):
-            if _passable(mesh.neighbours, mesh.walkable, poly, edge) < 0:
+            if _passable(mesh, poly, edge) < 0:
                 a = mesh.verts[mesh.poly_verts[poly, edge]]
                 b = mesh.verts[mesh.poly_verts[poly, following]]
                 d, along = point_to_segment(centre[0], centre[2], a[0], a[2], b[0], b[2])
@@ -320,7 +237,7 @@ def nearest_wall(
                         hit[axis] = a[axis] + (b[axis] - a[axis]) * along
             edge = following
         for edge in range(size):
-            other = _passable(mesh.neighbours, mesh.walkable, poly, edge)
+            other = _passable(mesh, poly, edge)
             if other < 0 or other == search.parent[poly]:
                 continue
             a = mesh.verts[mesh.poly_verts[poly, edge]]
@@ -328,24 +245,15 @@ def nearest_wall(
             d, _ = point_to_segment(centre[0], centre[2], a[0], a[2], b[0], b[2])
             if d > radius_squared:
                 continue
-            if search.round[other] != this_round:
-                search.round[other] = this_round
-                search.state[other] = 0
-                first = edge_to(mesh.neighbours, mesh.poly_size, poly, other)
-                place_at_edge(mesh.verts, mesh.poly_verts, mesh.poly_size, search.position, poly, first, other)
-            elif search.state[other] == CLOSED:
+            if not visit(mesh, search, poly, edge_to(mesh, poly, other), other) and search.state[other] == CLOSED:
                 continue
-            p, q = search.position[poly], search.position[other]
-            total = search.total[poly] + distance(p[0], p[1], p[2], q[0], q[1], q[2])
+            position = search.position
+            total = search.total[poly] + distance(corner(position, poly), corner(position, other))
             if search.state[other] == OPEN and total >= search.total[other]:
                 continue
             search.parent[other] = poly
             search.total[other] = total
-            if search.state[other] == OPEN:
-                moved_up(search.heap, search.total, search.counters, other)
-            else:
-                search.state[other] = OPEN
-                push(search.heap, search.total, search.counters, other)
+            push(search, other)
     for axis in range(3):
         normal[axis] = centre[axis] - hit[axis]
     scale = ONE / np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
@@ -361,9 +269,7 @@ def nearest_walls(mesh: QueryMesh, points: Floats, max_radius: np.float32) -> tu
     distances = np.empty(n, np.float32)
     hits = np.empty((n, 3), np.float32)
     normals = np.empty((n, 3), np.float32)
-    mesh, held = uncounted(mesh), new_search(mesh.poly_size.shape[0])
-    search = uncounted(held)
+    search = new_search(mesh.poly_size.shape[0])
     for i in range(n):
         distances[i] = nearest_wall(mesh, search, points[i], max_radius, hits[i], normals[i])
-    keep(held)
     return distances, hits, normals

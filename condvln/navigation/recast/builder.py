@@ -6,19 +6,226 @@ tile, no border, watershed regions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.compiled import register_warm_up
 from condvln.formats.triangles import MeshSource, PlacedMesh, mesh_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
-from condvln.navigation.recast.config import MEMORY_LIMIT_BYTES, RecastProfile
-from condvln.navigation.recast.stages import Notify, build_stages
+from condvln.navigation.recast.compact import CompactHeightfield, compact, distance_field, erode
+from condvln.navigation.recast.config import (
+    MEMORY_LIMIT_BYTES,
+    RecastConfig,
+    RecastProfile,
+    checked_triangles,
+    walkable_faces,
+)
+from condvln.navigation.recast.contours import Contours, merge_holes, trace_contours
+from condvln.navigation.recast.detail import DetailMesh, build_detail
+from condvln.navigation.recast.geometry import Array
+from condvln.navigation.recast.heightfield import (
+    Heightfield,
+    filter_ledges,
+    filter_low_hanging_obstacles,
+    filter_low_height,
+    rasterize,
+)
+from condvln.navigation.recast.polymesh import NO_INDEX, PolyMesh, build_polymesh
+from condvln.navigation.recast.regions import merge_regions
+from condvln.navigation.recast.watershed import watershed
 from condvln.navigation.settings import NavMeshSettings
+from condvln.navigation.tile import (
+    DETAIL_MESH,
+    POLYGON,
+    WALKABLE,
+    Floats,
+    NavMeshTile,
+    Records,
+    build_bv_tree,
+    link_tile,
+    quantise_bounds,
+)
+from schemas.errors import FormatError, InputError
 
-__all__ = ["build_navmesh", "build_scene_navmesh"]
+__all__ = ["BuildStages", "Notify", "assemble_tile", "build_navmesh", "build_scene_navmesh", "build_stages"]
+
+# Detour counts detail vertices in sixteen bits, and the highest bit of a neighbour marks another tile.
+MAX_DETAIL_VERTICES = 0xFFFF
+MAX_POLYGONS = 0x8000
+
+
+def assemble_tile(mesh: PolyMesh, detail: DetailMesh, config: RecastConfig, settings: NavMeshSettings) -> NavMeshTile:
+    """Return the tile in the state in which Habitat saves it.
+
+    Raises
+    ------
+    InputError
+        The mesh has no walkable floor.
+    FormatError
+        There are more polygons or vertices than a tile can hold.
+    """
+    if len(mesh.polygons) == 0:
+        raise InputError(
+            f"the mesh has no floor for an agent of radius {settings.agent_radius:g} m "
+            f"and height {settings.agent_height:g} m",
+            place="polygon mesh",
+            remedy="Check that y is up and faces point up, or lower agent sizes and region_min_size",
+        )
+    beyond = len(detail.vertices) - int(mesh.vert_counts.sum())
+    if len(mesh.polygons) > MAX_POLYGONS or beyond > MAX_DETAIL_VERTICES:
+        raise FormatError(
+            f"{len(mesh.polygons):,} polygons with {beyond:,} detail vertices are more than a tile holds",
+            place="tile",
+            remedy="Use a larger cell_size or detail_sample_dist, or cut the mesh into parts",
+        )
+    bounds_max = config.bounds_max.copy()
+    bounds_max[1] += np.float32(config.walkable_height) * config.cell_height
+    low, high = _polygon_bounds(detail)
+    cells = quantise_bounds(low, high, config.bounds_min, settings.cell_size)
+    tile = NavMeshTile.assemble(
+        bmin=config.bounds_min,
+        bmax=bounds_max,
+        cell_size=settings.cell_size,
+        walkable_height=settings.agent_height,
+        walkable_radius=settings.agent_radius,
+        walkable_climb=settings.agent_max_climb,
+        verts=config.bounds_min
+        + mesh.vertices.astype(np.float32)
+        * np.array([config.cell_size, config.cell_height, config.cell_size], np.float32),
+        polys=_polygon_records(mesh),
+        detail_meshes=_detail_records(mesh, detail),
+        detail_verts=detail.vertices[_beyond_corners(mesh, detail)],
+        detail_tris=detail.triangles,
+        bv_nodes=build_bv_tree(*cells),
+    )
+    return link_tile(tile)
+
+
+def _polygon_records(mesh: PolyMesh) -> Records:
+    most = mesh.verts_per_poly
+    counts = mesh.vert_counts
+    used = np.arange(most) < counts[:, None]
+    polys = np.zeros(len(mesh.polygons), POLYGON)
+    polys["verts"][:, :most] = np.where(used, mesh.polygons[:, :most], 0)
+    beside = mesh.polygons[:, most:]
+    polys["neis"][:, :most] = np.where(used & (beside != NO_INDEX), beside + 1, 0)
+    polys["flags"] = WALKABLE
+    polys["vert_count"] = counts
+    return polys
+
+
+def _detail_records(mesh: PolyMesh, detail: DetailMesh) -> Records:
+    records = np.zeros(len(detail.meshes), DETAIL_MESH)
+    extra = detail.meshes[:, 1] - mesh.vert_counts
+    records["vert_base"] = np.cumsum(extra) - extra
+    records["vert_count"] = extra
+    records["tri_base"] = detail.meshes[:, 2]
+    records["tri_count"] = detail.meshes[:, 3]
+    return records
+
+
+def _beyond_corners(mesh: PolyMesh, detail: DetailMesh) -> Records:
+    """Return a mask (v,) of the detail vertices that are not corners of their polygon. The vertices of a polygon begin
+    with its corners.
+    """
+    within = np.arange(len(detail.vertices)) - np.repeat(detail.meshes[:, 0], detail.meshes[:, 1])
+    beyond: Records = within >= np.repeat(mesh.vert_counts, detail.meshes[:, 1])
+    return beyond
+
+
+def _polygon_bounds(detail: DetailMesh) -> tuple[Floats, Floats]:
+    first = detail.meshes[:, 0]
+    return np.minimum.reduceat(detail.vertices, first), np.maximum.reduceat(detail.vertices, first)
+
+
+# Called with the name of each stage when it begins.
+Notify = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class BuildStages:
+    """Results of the stages of one build, in order.
+
+    Attributes
+    ----------
+    solid : heightfield as rasterised
+    filtered : its area ids after the low-hanging, the ledge and the low-height filter, (s,) uint8 each
+    compact : walkable spans before erosion
+    eroded : their area ids after it
+    distance, region : (s,) int32, per compact span
+    """
+
+    config: RecastConfig
+    solid: Heightfield
+    filtered: tuple[Array, Array, Array]
+    compact: CompactHeightfield
+    eroded: Array
+    distance: Array
+    region: Array
+    raw_contours: Contours
+    contours: Contours
+    polymesh: PolyMesh
+    detail: DetailMesh
+    tile: NavMeshTile
+
+
+def build_stages(
+    vertices: npt.ArrayLike,
+    faces: npt.ArrayLike,
+    settings: NavMeshSettings,
+    profile: RecastProfile = RecastProfile.HABITAT_0_3_4,
+    *,
+    memory_limit: int = MEMORY_LIMIT_BYTES,
+    report: Notify | None = None,
+) -> BuildStages:
+    """Build a navmesh and keep the results of every stage. Parameters and errors are those of ``build_navmesh``."""
+    begin = report or _silent
+    begin("checking triangles")
+    points, corners = checked_triangles(vertices, faces)
+    config = RecastConfig.of(points, settings, memory_limit)
+    begin("rasterising")
+    solid = rasterize(points, corners, walkable_faces(points, corners, config.walkable_slope_cosine), config)
+    begin("filtering")
+    filtered = _filter(solid, settings, profile, config)
+    begin("connecting")
+    field = compact(solid, filtered[-1], config.walkable_height, config.walkable_climb)
+    eroded = erode(field, config.walkable_radius)
+    begin("partitioning")
+    distance, highest = distance_field(field, eroded)
+    region, count = watershed(field, eroded, distance, highest)
+    region, _ = merge_regions(field, eroded, region, count, config.min_region_area, config.merge_region_area)
+    begin("tracing contours")
+    raw_contours, contours = trace_contours(field, eroded, region, config.max_edge_error, config.max_edge_length)
+    contours = merge_holes(contours)
+    begin("making polygons")
+    mesh = build_polymesh(contours, config.verts_per_poly)
+    begin("sampling heights")
+    detail = build_detail(mesh, field, region, config)
+    begin("assembling the tile")
+    tile = assemble_tile(mesh, detail, config, settings)
+    return BuildStages(
+        config, solid, filtered, field, eroded, distance, region, raw_contours, contours, mesh, detail, tile
+    )
+
+
+def _filter(
+    solid: Heightfield, settings: NavMeshSettings, profile: RecastProfile, config: RecastConfig
+) -> tuple[Array, Array, Array]:
+    first = second = third = solid.area
+    if settings.filter_low_hanging_obstacles:
+        first = second = third = filter_low_hanging_obstacles(solid, config.walkable_climb)
+    if settings.filter_ledge_spans:
+        second = third = filter_ledges(replace(solid, area=first), config.walkable_height, config.walkable_climb)
+    if settings.filter_walkable_low_height_spans:
+        strict = profile is RecastProfile.HABITAT_0_3_3
+        third = filter_low_height(replace(solid, area=second), config.walkable_height, strict)
+    return first, second, third
+
+
+def _silent(_: str) -> None:
+    pass
 
 
 def build_navmesh(
@@ -78,16 +285,3 @@ def build_scene_navmesh(
     objects = static_objects if settings.include_static_objects else ()
     vertices, faces = mesh_triangles([stage, *objects])
     return build_navmesh(vertices, faces, settings, profile, memory_limit=memory_limit, report=report)
-
-
-def _warm_up() -> None:
-    """Build the navmesh of a floor with a pillar, so that every kernel is called. The pillar is placed so that it makes
-    a hole in a region.
-    """
-    floor = [[-1.5, 0, -1.5], [-1.5, 0, 1.5], [1.5, 0, 1.5], [1.5, 0, -1.5]]
-    pillar = [[x, y, z] for y in (0, 2) for x, z in ((0.85, -0.05), (0.85, 0.05), (0.95, 0.05), (0.95, -0.05))]
-    sides = [[4 + k, 4 + (k + 1) % 4, 8 + (k + 1) % 4] for k in range(4)]
-    build_navmesh(np.array(floor + pillar, np.float32), np.array([[0, 1, 2], [0, 2, 3], *sides], np.int32))
-
-
-register_warm_up("navmesh builder", _warm_up)

@@ -1,4 +1,9 @@
-"""Stage 3: the open space above walkable spans, and the connections between them (``rcBuildCompactHeightfield``)."""
+"""Stages 3 to 5: the open space above walkable spans and its connections (``rcBuildCompactHeightfield`` of Recast),
+erosion by the agent's radius, and the distance of each span from the border of its area.
+
+Distances are counted in half cells, 2 for a straight step and 3 for a diagonal one (``rcErodeWalkableArea`` and
+``rcBuildDistanceField``).
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from condvln.compiled import compiled
-from condvln.navigation.recast.arrays import Array
-from condvln.navigation.recast.filters import DX, DZ, SKY
-from condvln.navigation.recast.heightfield import Heightfield
+from condvln.navigation.recast.geometry import Array
+from condvln.navigation.recast.heightfield import DX, DZ, Heightfield, ceilings
 from schemas.errors import FormatError
 
-__all__ = ["CompactHeightfield", "compact"]
+__all__ = ["CompactHeightfield", "compact", "distance_field", "erode"]
 
 # Limits of Recast's bit fields: spans of a neighbour column that a connection can address, per column, and in total.
 MAX_LAYERS = 62
@@ -62,7 +66,7 @@ def compact(field: Heightfield, area: Array, walkable_height: int, walkable_clim
             place="compact heightfield",
             remedy="Use a larger cell_size or cut the mesh into parts",
         )
-    start, column, floor, clearance, areas = _walkable(field.start, field.bottom, field.top, area, spans)
+    start, column, floor, clearance, areas = _walkable(field, area)
     neighbour, layers = _connect(
         field.width, field.depth, start, column, floor, clearance, walkable_height, walkable_climb
     )
@@ -76,28 +80,17 @@ def compact(field: Heightfield, area: Array, walkable_height: int, walkable_clim
     return CompactHeightfield(field.width, field.depth, start, column, floor, clearance, neighbour, areas)
 
 
-@compiled
-def _walkable(
-    start: Array, bottom: Array, top: Array, area: Array, spans: int
-) -> tuple[Array, Array, Array, Array, Array]:
-    new_start = np.empty(len(start), np.int32)
-    column_of = np.empty(spans, np.int32)
-    floor = np.empty(spans, np.int32)
-    clearance = np.empty(spans, np.int32)
-    areas = np.empty(spans, np.uint8)
-    count = 0
-    for column in range(len(start) - 1):
-        new_start[column] = count
-        for i in range(start[column], start[column + 1]):
-            if area[i] != 0:
-                ceiling = bottom[i + 1] if i + 1 < start[column + 1] else SKY
-                column_of[count] = column
-                floor[count] = top[i]
-                clearance[count] = max(0, min(ceiling - top[i], MAX_CLEARANCE))
-                areas[count] = area[i]
-                count += 1
-    new_start[len(start) - 1] = count
-    return new_start, column_of, floor, clearance, areas
+def _walkable(field: Heightfield, area: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return where the walkable spans of each column start, and of each such span the column, the floor, the clearance
+    above and the area.
+    """
+    kept = area != 0
+    columns = np.arange(len(field.start) - 1, dtype=np.int32)
+    column = np.repeat(columns, np.diff(field.start))[kept]
+    start = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=len(columns)))]).astype(np.int32)
+    floor = field.top[kept].astype(np.int32)
+    clearance = np.clip(ceilings(field)[kept] - floor, 0, MAX_CLEARANCE).astype(np.int32)
+    return start, column, floor, clearance, area[kept]
 
 
 @compiled
@@ -125,3 +118,95 @@ def _connect(
                     highest_layer = max(highest_layer, j - start[other])
                     break
     return neighbour, highest_layer
+
+
+# "Not reached yet", in the eight bits of erosion and the sixteen bits of the distance field.
+FAR_8 = 0xFF
+FAR_16 = 0xFFFF
+# The field is not blurred within this many half cells of the border.
+BLUR_FROM = 2
+# The four sides of a cell, in the order of ``neighbour``.
+SIDE_0, SIDE_1, SIDE_2, SIDE_3 = 0, 1, 2, 3
+
+
+def erode(field: CompactHeightfield, walkable_radius: int) -> Array:
+    """Return the area ids (s,) of the spans, uint8, with 0 for spans nearer than ``walkable_radius`` cells to a
+    border.
+    """
+    distance = _border_distance(field.neighbour, field.area, FAR_8)
+    return np.where(distance < 2 * walkable_radius, np.uint8(0), field.area)
+
+
+def distance_field(field: CompactHeightfield, area: Array) -> tuple[Array, int]:
+    """Return the blurred distance of each span from the border of its area.
+
+    Parameters
+    ----------
+    area : (s,) uint8, area ids after erosion; spans of area 0 have distances among themselves
+
+    Returns
+    -------
+    distance : (s,) int32, half cells
+    highest : its maximum before the blur, the level at which Recast starts the watershed
+    """
+    distance = _border_distance(field.neighbour, area, FAR_16)
+    return _blurred(field.neighbour, distance), int(distance.max(initial=0))
+
+
+@compiled
+def _border_distance(neighbour: Array, area: Array, far: int) -> Array:
+    """Return the distance of each span to the nearest border span. A border span has fewer than four neighbours with
+    its own area id. The distance is a chamfer distance, computed in two passes.
+    """
+    spans = len(area)
+    distance = np.full(spans, far, np.int32)
+    for i in range(spans):
+        same = 0
+        for direction in range(4):
+            j = neighbour[i, direction]
+            if j >= 0 and area[j] == area[i]:
+                same += 1
+        if same != 4:
+            distance[i] = 0
+    # Forward from -x and -z with their diagonals, then backward from +x and +z.
+    for i in range(spans):
+        _relax(neighbour, distance, i, SIDE_0, SIDE_3)
+        _relax(neighbour, distance, i, SIDE_3, SIDE_2)
+    for i in range(spans - 1, -1, -1):
+        _relax(neighbour, distance, i, SIDE_2, SIDE_1)
+        _relax(neighbour, distance, i, SIDE_1, SIDE_0)
+    return distance
+
+
+@compiled
+def _relax(neighbour: Array, distance: Array, i: int, straight: int, turn: int) -> None:
+    j = neighbour[i, straight]
+    if j >= 0:
+        distance[i] = min(distance[i], distance[j] + 2)
+        k = neighbour[j, turn]
+        if k >= 0:
+            distance[i] = min(distance[i], distance[k] + 3)
+
+
+@compiled
+def _blurred(neighbour: Array, distance: Array) -> Array:
+    """Return the mean of ``distance`` over the 3 x 3 neighbourhood of each span. A missing neighbour counts as the span
+    itself; distances up to `BLUR_FROM` are kept.
+    """
+    out = np.empty(len(distance), np.int32)
+    for i in range(len(distance)):
+        own = distance[i]
+        if own <= BLUR_FROM:
+            out[i] = own
+            continue
+        total = own
+        for direction in range(4):
+            j = neighbour[i, direction]
+            if j < 0:
+                total += 2 * own
+                continue
+            total += distance[j]
+            k = neighbour[j, (direction + 1) & 3]
+            total += distance[k] if k >= 0 else own
+        out[i] = (total + 5) // 9
+    return out

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, constant, inlined
-from condvln.navigation.recast.arrays import Array, Ground, ground
+from condvln.compiled import compiled, inlined
+from condvln.navigation.recast.geometry import Array, Ground, ground
 
 __all__ = ["EDGES_PER_POINT", "cross_2d", "delaunay", "distance_2d"]
 
 # Marks the side of an edge that has no triangle.
-UNDECIDED = constant(-1)
-HULL = constant(-2)
+UNDECIDED = -1
+HULL = -2
 # The first number of an edge or of a triangle.
-FIRST = constant(0)
+FIRST = 0
 # Capacity for edges that Recast reserves per point.
 EDGES_PER_POINT = 10
 # Least doubled area of a triangle in square metres.

@@ -1,8 +1,9 @@
-"""Stage 1: rasterize triangles to a solid heightfield, columns of voxel spans (``rcRasterizeTriangles`` of Recast).
+"""Stages 1 and 2: rasterize triangles to a solid heightfield, columns of voxel spans (``rcRasterizeTriangles`` of
+Recast), and decide on which spans an agent can stand (``RecastFilter.cpp``).
 
 Each triangle is cut along the grid lines, first into rows and then into cells; the part in a cell becomes one span from
 the lowest to the highest voxel touched. Touching spans of a column are merged immediately, so the order of triangles
-matters.
+matters. A filter returns new area ids, (s,) uint8, and does not change the heightfield.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from condvln.compiled import compiled_apart
-from condvln.navigation.recast.arrays import Array, grown_rows
+from condvln.compiled import compiled
 from condvln.navigation.recast.config import MAX_SPAN_HEIGHT, RecastConfig
+from condvln.navigation.recast.geometry import Array, grown
 
-__all__ = ["Heightfield", "rasterize"]
+__all__ = ["Heightfield", "ceilings", "filter_ledges", "filter_low_hanging_obstacles", "filter_low_height", "rasterize"]
 
 # A triangle cut by four lines has at most 7 corners; Recast reserves space for 12.
 MAX_CORNERS = 12
@@ -70,7 +71,7 @@ def rasterize(vertices: Array, faces: Array, face_area: Array, config: RecastCon
     return Heightfield(config.width, config.depth, start, bottom, top, area)
 
 
-@compiled_apart
+@compiled
 def _cut_row(
     x: Array, y: Array, z: Array, source: int, corners: int, line: np.float32, row: int, rest: int
 ) -> tuple[int, int]:
@@ -106,7 +107,7 @@ def _cut_row(
     return n_row, n_rest
 
 
-@compiled_apart
+@compiled
 def _cut_cell(
     x: Array, y: Array, source: int, corners: int, line: np.float32, rest: int
 ) -> tuple[int, int, np.float32, np.float32]:
@@ -149,7 +150,7 @@ def _cut_cell(
     return n_piece, n_rest, lowest, highest
 
 
-@compiled_apart
+@compiled
 def _insert(column: int, low: int, high: int, area: int, merge: int, first: Array, spans: Array, pool: Array) -> None:
     """Insert a span into its column's list, merging the spans that it touches.
 
@@ -194,7 +195,7 @@ def _insert(column: int, low: int, high: int, area: int, merge: int, first: Arra
         first[column] = fresh
 
 
-@compiled_apart
+@compiled
 def _rasterize(
     vertices: Array,
     faces: Array,
@@ -271,12 +272,12 @@ def _rasterize(
                 low = max(0, min(int(np.floor(lowest * per_height)), MAX_SPAN_HEIGHT))
                 high = max(low + 1, min(int(np.ceil(highest * per_height)), MAX_SPAN_HEIGHT))
                 if pool[1] < 0 and pool[0] == len(spans):
-                    spans = grown_rows(spans, pool[0] + 1)
+                    spans = grown(spans, pool[0] + 1)
                 _insert(x + z * width, low, high, face_area[face], merge, first, spans, pool)
     return _in_column_order(first, spans)
 
 
-@compiled_apart
+@compiled
 def _in_column_order(first: Array, spans: Array) -> tuple[Array, Array, Array, Array]:
     """Return the spans of all columns as contiguous arrays in column order. The input has a linked list of spans for
     each column.
@@ -297,3 +298,99 @@ def _in_column_order(first: Array, spans: Array) -> tuple[Array, Array, Array, A
             span = spans[span, NEXT]
     start[len(first)] = count
     return start, bottom[:count].copy(), top[:count].copy(), area[:count].copy()
+
+
+# Height in voxels of the empty space above the last span of a column.
+SKY = 0xFFFF
+# Columns to the west (-x), south (+z), east (+x) and north (-z): Recast's directions 0 to 3.
+DX = np.array([-1, 0, 1, 0], np.int64)
+DZ = np.array([0, 1, 0, -1], np.int64)
+
+
+def filter_low_hanging_obstacles(field: Heightfield, walkable_climb: int) -> Array:
+    """Mark an obstacle as walkable if its top is within a step of a walkable span just below it (kerbs, stairs)."""
+    return _low_hanging(field.start, field.top, field.area, walkable_climb)
+
+
+def filter_ledges(field: Heightfield, walkable_height: int, walkable_climb: int) -> Array:
+    """Mark spans beside a drop of more than a step as not walkable. The border of the grid counts as a drop.
+
+    Spans whose reachable neighbours differ in height by more than a step are marked too: the slope is too steep.
+    """
+    return _ledges(
+        field.width, field.depth, field.start, field.bottom, field.top, field.area, walkable_height, walkable_climb
+    )
+
+
+def ceilings(field: Heightfield) -> Array:
+    """Return the bottom of the span above each span, ``SKY`` for the highest of a column."""
+    above = np.empty(len(field.top), np.int32)
+    above[:-1] = field.bottom[1:]
+    above[field.start[1:][np.diff(field.start) > 0] - 1] = SKY
+    return above
+
+
+def filter_low_height(field: Heightfield, walkable_height: int, height_must_exceed: bool) -> Array:
+    """Mark spans without enough clearance for an agent as not walkable.
+
+    ``height_must_exceed`` requires more than ``walkable_height`` voxels, as Recast did up to the version in habitat-sim
+    0.3.3.
+    """
+    least = walkable_height + 1 if height_must_exceed else walkable_height
+    return np.where(ceilings(field) - field.top < least, np.uint8(0), field.area)
+
+
+@compiled
+def _low_hanging(start: Array, top: Array, area: Array, climb: int) -> Array:
+    out = area.copy()
+    for column in range(len(start) - 1):
+        was_walkable = False
+        for i in range(start[column], start[column + 1]):
+            walkable = area[i] != 0
+            # The state before this filter counts, so that a stack of obstacles is not climbed.
+            if not walkable and was_walkable and abs(top[i] - top[i - 1]) <= climb:
+                out[i] = out[i - 1]
+            was_walkable = walkable
+    return out
+
+
+@compiled
+def _ledges(
+    width: int, depth: int, start: Array, bottom: Array, top: Array, area: Array, height: int, climb: int
+) -> Array:
+    out = area.copy()
+    for column in range(width * depth):
+        x = column % width
+        z = column // width
+        for i in range(start[column], start[column + 1]):
+            if area[i] == 0:
+                continue
+            floor = top[i]
+            ceiling = bottom[i + 1] if i + 1 < start[column + 1] else SKY
+            drop = SKY
+            lowest = floor
+            highest = floor
+            for direction in range(4):
+                nx = x + DX[direction]
+                nz = z + DZ[direction]
+                if nx < 0 or nz < 0 or nx >= width or nz >= depth:
+                    drop = min(drop, -climb - floor)
+                    continue
+                neighbour = nx + nz * width
+                begin = start[neighbour]
+                end = start[neighbour + 1]
+                # The empty space below the first span is a drop if the agent fits through the gap.
+                below = bottom[begin] if begin < end else SKY
+                if min(ceiling, below) - max(floor, -climb) > height:
+                    drop = min(drop, -climb - floor)
+                for j in range(begin, end):
+                    other_floor = top[j]
+                    other_ceiling = bottom[j + 1] if j + 1 < end else SKY
+                    if min(ceiling, other_ceiling) - max(floor, other_floor) > height:
+                        drop = min(drop, other_floor - floor)
+                        if abs(other_floor - floor) <= climb:
+                            lowest = min(lowest, other_floor)
+                            highest = max(highest, other_floor)
+            if drop < -climb or highest - lowest > climb:
+                out[i] = 0
+    return out

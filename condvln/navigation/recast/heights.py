@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from condvln.compiled import compiled, inlined
-from condvln.navigation.recast.arrays import Array
+from condvln.navigation.recast.geometry import Array
 
 __all__ = ["UNSET", "fill_patch", "sample_height"]
 

@@ -1,6 +1,7 @@
 """Stage 10: convex polygons of the contours, and their shared edges (``rcBuildPolyMesh`` of Recast).
 
-Recast also removes vertices on the borders of tiles; a build without borders has none.
+A contour is triangulated on the integer grid by cutting the ear with the shortest diagonal (``triangulate``); then
+triangles are merged. Recast also removes vertices on the borders of tiles; a build without borders has none.
 """
 
 from __future__ import annotations
@@ -10,13 +11,106 @@ from dataclasses import dataclass
 import numpy as np
 
 from condvln.compiled import compiled, inlined
-from condvln.navigation.recast.arrays import Array, ground
 from condvln.navigation.recast.contours import Contours
-from condvln.navigation.recast.planar import turn
-from condvln.navigation.recast.triangulate import triangulate
+from condvln.navigation.recast.geometry import (
+    Array,
+    Ground,
+    coincide,
+    ground,
+    in_cone,
+    segments_cross,
+    segments_touch,
+    turn,
+)
 from schemas.errors import FormatError
 
-__all__ = ["NO_INDEX", "PolyMesh", "build_polymesh"]
+__all__ = ["NO_INDEX", "PolyMesh", "build_polymesh", "triangulate"]
+
+
+@inlined
+def triangulate(points: Array, corner: Array, ear: Array, triangles: Array) -> int:
+    """Write the triangles of a polygon as rows of corner numbers; return the number of triangles.
+
+    A self-overlapping polygon may give fewer than n - 2.
+
+    Parameters
+    ----------
+    points : (n, 4) int32, x and z in columns 0 and 2
+    corner, ear : (>= n,) int32 and bool, work space
+    triangles : (>= n, 3) int32, output
+    """
+    n = len(points)
+    for i in range(n):
+        corner[i] = i
+    for i in range(n):
+        ear[(i + 1) % n] = _is_diagonal(i, (i + 2) % n, n, points, corner, False)
+    count = 0
+    while n > 3:
+        best = _shortest_cut(n, points, corner, ear, False)
+        if best < 0:
+            best = _shortest_cut(n, points, corner, ear, True)
+        if best < 0:
+            return count
+        tip = (best + 1) % n
+        triangles[count, 0] = corner[best]
+        triangles[count, 1] = corner[tip]
+        triangles[count, 2] = corner[(best + 2) % n]
+        count += 1
+        n -= 1
+        for k in range(tip, n):
+            corner[k] = corner[k + 1]
+            ear[k] = ear[k + 1]
+        after = tip if tip < n else 0
+        before = after - 1 if after > 0 else n - 1
+        ear[before] = _is_diagonal((before + n - 1) % n, after, n, points, corner, False)
+        ear[after] = _is_diagonal(before, (after + 1) % n, n, points, corner, False)
+    triangles[count, 0], triangles[count, 1], triangles[count, 2] = corner[0], corner[1], corner[2]
+    return count + 1
+
+
+@compiled
+def _is_diagonal(i: int, j: int, n: int, points: Array, corner: Array, loose: bool) -> bool:
+    """Return whether the segment between corners i and j is inside the polygon. With ``loose`` the segment may touch
+    the border.
+    """
+    a, b = ground(points, corner[i]), ground(points, corner[j])
+    if not in_cone(ground(points, corner[(i + n - 1) % n]), a, ground(points, corner[(i + 1) % n]), b, loose):
+        return False
+    for k in range(n):
+        m = k + 1 if k + 1 < n else 0
+        if k in (i, j) or m in (i, j):
+            continue
+        p, q = ground(points, corner[k]), ground(points, corner[m])
+        if coincide(a, p) or coincide(b, p) or coincide(a, q) or coincide(b, q):
+            continue
+        if segments_cross(a, b, p, q) if loose else segments_touch(a, b, p, q):
+            return False
+    return True
+
+
+@compiled
+def _squared_length(a: Ground, b: Ground) -> int:
+    dx = b[0] - a[0]
+    dz = b[1] - a[1]
+    return int(dx * dx + dz * dz)
+
+
+@compiled
+def _shortest_cut(n: int, points: Array, corner: Array, ear: Array, loose: bool) -> int:
+    """Return the corner before the ear that the shortest diagonal cuts off; with ``loose``, where no ear is left, of
+    the diagonals that only touch the polygon. The result is -1 if there is none.
+    """
+    best = -1
+    shortest = -1
+    for i in range(n):
+        if _is_diagonal(i, (i + 2) % n, n, points, corner, True) if loose else ear[(i + 1) % n]:
+            # Recast measures loose cuts to one corner further.
+            length = _squared_length(ground(points, corner[i]), ground(points, corner[(i + 2 + loose) % n]))
+            if best < 0 or length < shortest:
+                shortest = length
+                best = i
+    return best
+
 
 # Marks "no vertex" and "no neighbour".
 NO_INDEX = 0xFFFF
@@ -194,40 +288,20 @@ def _merge_gain(p: Array, n: int, q: Array, m: int, vertices: Array, most: int) 
 
 
 @compiled
-def _best_partner(j: int, parts: Array, size: Array, n: int, vertices: Array, most: int) -> tuple[int, int]:
-    """Return the index of the polygon after j that has the largest merge gain with j (on ties the first such polygon),
-    and this gain; (-1, 0) if j can be merged with none of them.
-    """
-    best = -1
-    gain = 0
-    for k in range(j + 1, n):
-        g = _merge_gain(parts[j], size[j], parts[k], size[k], vertices, most)
-        if g > gain:
-            gain = g
-            best = k
-    return best, gain
-
-
-@inlined
 def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int:
-    """Merge pairs of polygons until no pair can be merged. Each time, merge the pair that shares the longest edge; on
-    ties, the first such pair. Return the number of polygons left.
-
-    The best partner of each polygon is cached, so that a merge updates a few rows and not all pairs.
+    """Merge convex polygons along their longest shared edge, in place, while any two can be merged; return their
+    number. Of equal edges that of the first pair counts.
     """
-    partner = np.full(n, -1, np.int64)
-    gain = np.zeros(n, np.int64)
     joined = np.empty(most, np.int32)
-    for j in range(n):
-        partner[j], gain[j] = _best_partner(j, parts, size, n, vertices, most)
     while True:
-        a = -1
+        gain, a, b = 0, 0, 0
         for j in range(n):
-            if gain[j] > 0 and (a < 0 or gain[j] > gain[a]):
-                a = j
-        if a < 0:
+            for k in range(j + 1, n):
+                g = _merge_gain(parts[j], size[j], parts[k], size[k], vertices, most)
+                if g > gain:
+                    gain, a, b = g, j, k
+        if gain == 0:
             return n
-        b = partner[a]
         i, j = _shared_edge(parts[a], size[a], parts[b], size[b])
         length = 0
         for k in range(size[a] - 1):
@@ -238,20 +312,9 @@ def _merge(parts: Array, size: Array, n: int, vertices: Array, most: int) -> int
             length += 1
         parts[a, :length] = joined[:length]
         size[a] = length
-        last = n - 1
-        parts[b] = parts[last]
-        size[b] = size[last]
         n -= 1
-        for j in range(n):
-            if j in (a, b) or partner[j] == a or partner[j] == b or partner[j] == last:
-                partner[j], gain[j] = _best_partner(j, parts, size, n, vertices, most)
-                continue
-            for k in (a, b):
-                if j < k and k < n:
-                    g = _merge_gain(parts[j], size[j], parts[k], size[k], vertices, most)
-                    if g > 0 and (g > gain[j] or (g == gain[j] and k < partner[j])):
-                        partner[j] = k
-                        gain[j] = g
+        parts[b] = parts[n]
+        size[b] = size[n]
 
 
 @compiled

@@ -9,13 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from condvln.compiled import compiled, inlined
-from condvln.navigation.recast.arrays import Array, grown
 from condvln.navigation.recast.compact import CompactHeightfield
+from condvln.navigation.recast.geometry import Array, grown
 
 __all__ = ["merge_regions"]
 
 # Recast stops tracing an outline after this many steps.
 MAX_OUTLINE_STEPS = 40000
+
+MOST_CELLS = 0xFFFFFFF
+"""A size that no region reaches."""
 
 
 def merge_regions(
@@ -36,32 +39,27 @@ def merge_regions(
     region : (s,) int32
     count : n
     """
-    size, kind, overlaps, outline, outline_start, outline_length = _survey(field.neighbour, area, region, count)
-    above, above_start, above_length = _stacked(field.start, region, count, overlaps)
-    new_id, kept = _merge(
-        size,
-        kind,
-        overlaps,
-        (outline, outline_start, outline_length),
-        (above, above_start, above_length),
-        min_area,
-        merge_area,
-    )
-    return new_id[region], kept
+    size, kind, overlaps, outline, begin, length = _survey(field.neighbour, area, region, count)
+    above = _stacked(field.start, region, count, overlaps)
+    rings = [
+        _without_repeats(outline[a : a + n].tolist()) for a, n in zip(begin.tolist(), length.tolist(), strict=True)
+    ]
+    ids = _merged(size.tolist(), kind.tolist(), overlaps.tolist(), rings, above, min_area, merge_area)
+    fresh = {0: 0}
+    new_id = np.array([fresh.setdefault(old, len(fresh)) for old in ids], np.int32)
+    return new_id[region], len(fresh) - 1
 
 
-def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> tuple[Array, Array, Array]:
-    """Return, for each region, the regions that have spans above or below the region's own spans; the region itself may
-    be among them. The result is one list of regions, and the start and the length of each region's part of this list.
-    Set ``overlaps`` for regions that have two spans in one column.
-    """
+def _stacked(start: Array, region: Array, count: int, overlaps: Array) -> list[set[int]]:
+    """Return the regions that share a column with each region, and mark those that lie above themselves."""
     pairs = _column_pairs(start, region)
     pairs = np.unique(pairs[:, 0].astype(np.int64) * (count + 1) + pairs[:, 1])
     first, second = np.divmod(pairs, count + 1)
     overlaps[first[first == second]] = True
-    length = np.bincount(first, minlength=count + 1).astype(np.int32)
-    begin = (np.cumsum(length) - length).astype(np.int32)
-    return second.astype(np.int32), begin, length
+    above: list[set[int]] = [set() for _ in range(count + 1)]
+    for one, other in zip(first.tolist(), second.tolist(), strict=True):
+        above[one].add(other)
+    return above
 
 
 @compiled
@@ -141,189 +139,82 @@ def _walk_outline(span: int, direction: int, neighbour: Array, region: Array, ou
             direction = (direction + 3) & 3
         if span == first_span and direction == first_direction:
             break
-    return _without_repeats(out, 0, n)
+    return n
 
 
-@compiled
-def _without_repeats(ring: Array, begin: int, length: int) -> int:
-    """Remove from the ring ``ring[begin:begin + length]`` each item equal to the one after it; return the new
-    length.
-    """
+def _without_repeats(ring: list[int]) -> list[int]:
+    """Take from a ring each number that the next one repeats, in place, and return it."""
     i = 0
-    while i < length and length > 1:
-        if ring[begin + i] == ring[begin + (i + 1) % length]:
-            for k in range(begin + i, begin + length - 1):
-                ring[k] = ring[k + 1]
-            length -= 1
+    while i < len(ring) and len(ring) > 1:
+        if ring[i] == ring[(i + 1) % len(ring)]:
+            del ring[i]
         else:
             i += 1
-    return length
+    return ring
 
 
-@compiled
-def _holds(items: Array, begin: int, length: int, value: int) -> bool:
-    return _position(items, begin, length, value) >= 0
-
-
-@compiled
-def _may_merge(
-    a: int,
-    b: int,
-    ids: Array,
-    kind: Array,
-    ring: Array,
-    ring_start: Array,
-    ring_length: Array,
-    above: Array,
-    above_start: Array,
-    above_length: Array,
-) -> bool:
-    if kind[a] != kind[b]:
-        return False
-    meetings = 0
-    for k in range(ring_start[a], ring_start[a] + ring_length[a]):
-        if ring[k] == ids[b]:
-            meetings += 1
-    return meetings <= 1 and not _holds(above, above_start[a], above_length[a], ids[b])
-
-
-@inlined
-def _drop_small(size: Array, ids: Array, ring: Array, ring_start: Array, ring_length: Array, min_area: int) -> None:
-    """Remove connected groups of regions that together have fewer than ``min_area`` spans."""
-    visited = np.zeros(len(size), np.bool_)
-    group = np.empty(len(size), np.int32)
+def _drop_small(size: list[int], ids: list[int], rings: list[list[int]], min_area: int) -> None:
+    """Drop groups of connected regions that are smaller than `min_area` together."""
+    visited: set[int] = {0}
     for seed in range(1, len(size)):
-        if size[seed] == 0 or visited[seed]:
+        if size[seed] == 0 or seed in visited:
             continue
-        visited[seed] = True
-        group[0] = seed
-        members = 1
-        done = 0
-        total = 0
-        while done < members:
-            r = group[done]
-            done += 1
-            total += size[r]
-            for k in range(ring_start[r], ring_start[r] + ring_length[r]):
-                other = ring[k]
-                if other != 0 and not visited[other] and ids[other] != 0:
-                    visited[other] = True
-                    group[members] = other
-                    members += 1
-        if total < min_area:
-            for k in range(members):
-                size[group[k]] = 0
-                ids[group[k]] = 0
+        visited.add(seed)
+        group = [seed]
+        for r in group:  # grows meanwhile
+            fresh = [other for other in dict.fromkeys(rings[r]) if other not in visited and ids[other] != 0]
+            visited.update(fresh)
+            group += fresh
+        if sum(size[r] for r in group) < min_area:
+            for r in group:
+                size[r] = ids[r] = 0
 
 
-@compiled
-def _merge(
-    size: Array,
-    kind: Array,
-    overlaps: Array,
-    rings: tuple[Array, Array, Array],
-    floors: tuple[Array, Array, Array],
+def _merged(
+    size: list[int],
+    kind: list[int],
+    overlaps: list[bool],
+    rings: list[list[int]],
+    above: list[set[int]],
     min_area: int,
     merge_area: int,
-) -> tuple[Array, int]:
-    """Return the new id of each old region, and the number of regions."""
-    ring, ring_start, ring_length = rings
-    above, above_start, above_length = floors
-    regions = len(size)
-    ids = np.arange(regions).astype(np.int32)
-    _drop_small(size, ids, ring, ring_start, ring_length, min_area)
-    ring_end = len(ring)
-    above_end = len(above)
+) -> list[int]:
+    """Return the region that each region belongs to after merging; 0 for those that are dropped."""
+    ids = list(range(len(size)))
+    _drop_small(size, ids, rings, min_area)
+
+    def may_merge(a: int, b: int) -> bool:
+        return kind[a] == kind[b] and rings[a].count(ids[b]) <= 1 and ids[b] not in above[a]
+
     merged = True
     while merged:
         merged = False
-        for r in range(1, regions):
-            if ids[r] == 0 or overlaps[r] or size[r] == 0:
+        for r in range(1, len(size)):
+            if ids[r] == 0 or overlaps[r] or size[r] == 0 or (size[r] > merge_area and 0 in rings[r]):
                 continue
-            if size[r] > merge_area and _holds(ring, ring_start[r], ring_length[r], 0):
-                continue
-            target = 0
-            smallest = 0xFFFFFFF
-            for k in range(ring_start[r], ring_start[r] + ring_length[r]):
-                other = ring[k]
+            target, smallest = 0, MOST_CELLS
+            for other in rings[r]:
                 if ids[other] == 0 or overlaps[other] or size[other] >= smallest:
                     continue
-                if _may_merge(
-                    r, other, ids, kind, ring, ring_start, ring_length, above, above_start, above_length
-                ) and _may_merge(other, r, ids, kind, ring, ring_start, ring_length, above, above_start, above_length):
-                    smallest = size[other]
-                    target = ids[other]
-            if target == 0 or target == ids[r]:
+                if may_merge(r, other) and may_merge(other, r):
+                    target, smallest = ids[other], size[other]
+            old = ids[r]
+            if target in (0, old) or old not in rings[target] or ids[target] not in rings[r]:
                 continue
-            cut_target = _position(ring, ring_start[target], ring_length[target], ids[r])
-            cut_own = _position(ring, ring_start[r], ring_length[r], ids[target])
-            if cut_target < 0 or cut_own < 0:
-                continue
-            # The merged outline: the target's from where they meet, then this one's.
-            ring = grown(ring, ring_end + ring_length[target] + ring_length[r])
-            begin = ring_end
-            for k in range(ring_length[target] - 1):
-                ring[ring_end] = ring[ring_start[target] + (cut_target + 1 + k) % ring_length[target]]
-                ring_end += 1
-            for k in range(ring_length[r] - 1):
-                ring[ring_end] = ring[ring_start[r] + (cut_own + 1 + k) % ring_length[r]]
-                ring_end += 1
-            ring_start[target] = begin
-            ring_length[target] = _without_repeats(ring, begin, ring_end - begin)
-            ring_length[r] = 0
-            above = grown(above, above_end + above_length[target] + above_length[r])
-            begin = above_end
-            for k in range(above_length[target]):
-                above[above_end] = above[above_start[target] + k]
-                above_end += 1
-            for k in range(above_length[r]):
-                if not _holds(above, begin, above_end - begin, above[above_start[r] + k]):
-                    above[above_end] = above[above_start[r] + k]
-                    above_end += 1
-            above_start[target] = begin
-            above_length[target] = above_end - begin
+            theirs, own = rings[target].index(old), rings[r].index(ids[target])
+            ring = rings[target][theirs + 1 :] + rings[target][:theirs] + rings[r][own + 1 :] + rings[r][:own]
+            rings[target], rings[r] = _without_repeats(ring), []
+            above[target] |= above[r]
             size[target] += size[r]
             size[r] = 0
-            old = ids[r]
-            for j in range(1, regions):
+            for j in range(1, len(size)):
                 if ids[j] == 0:
                     continue
                 if ids[j] == old:
                     ids[j] = target
-                _rename(above, above_start[j], above_length[j], old, target)
-                if _rename(ring, ring_start[j], ring_length[j], old, target):
-                    ring_length[j] = _without_repeats(ring, ring_start[j], ring_length[j])
+                if old in above[j]:
+                    above[j] = above[j] - {old} | {target}
+                if old in rings[j]:
+                    rings[j] = _without_repeats([target if other == old else other for other in rings[j]])
             merged = True
-    return _renumbered(ids)
-
-
-@compiled
-def _position(items: Array, begin: int, length: int, value: int) -> int:
-    for k in range(length):
-        if items[begin + k] == value:
-            return k
-    return -1
-
-
-@compiled
-def _rename(items: Array, begin: int, length: int, old: int, new: int) -> bool:
-    changed = False
-    for k in range(begin, begin + length):
-        if items[k] == old:
-            items[k] = new
-            changed = True
-    return changed
-
-
-@inlined
-def _renumbered(ids: Array) -> tuple[Array, int]:
-    new_id = np.zeros(len(ids), np.int32)
-    fresh = np.zeros(len(ids), np.int32)
-    count = 0
-    for r in range(len(ids)):
-        if ids[r] != 0:
-            if fresh[ids[r]] == 0:
-                count += 1
-                fresh[ids[r]] = count
-            new_id[r] = fresh[ids[r]]
-    return new_id, count
+    return ids

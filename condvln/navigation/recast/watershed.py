@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from condvln.compiled import compiled, constant, inlined
-from condvln.navigation.recast.arrays import Array
+from condvln.compiled import compiled, inlined
 from condvln.navigation.recast.compact import CompactHeightfield
+from condvln.navigation.recast.geometry import Array
 from schemas.errors import FormatError
 
 __all__ = ["watershed"]
@@ -20,11 +20,11 @@ __all__ = ["watershed"]
 LEVELS_AT_ONCE = 8
 LEVEL_SHIFT = 1
 # Steps that a region grows at each level, and at the end.
-EXPAND_STEPS = constant(8)
-FINAL_EXPAND_STEPS = constant(64)
-LAST_LEVEL = constant(0)
+EXPAND_STEPS = 8
+FINAL_EXPAND_STEPS = 64
+LAST_LEVEL = 0
 # As a count of spans in hand.
-NO_SPANS = constant(0)
+NO_SPANS = 0
 # Recast marks the borders of tiles with this bit of a region's id.
 REGION_LIMIT = 0x8000
 UNREACHED = 0xFFFF

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from condvln.bias.learners import leaf_truths
+from condvln.bias.guessers import leaf_truths
 from condvln.instructions import ProgramSampler, instruction_id, render
 from schemas.program import SHAPES, Category
 
@@ -29,12 +29,12 @@ def fair_row(rng: np.random.Generator, category: Category, scene: str, number: i
         room = {"label": ROOMS[rng.integers(len(ROOMS))]}
         return {"label": LABELS[rng.integers(len(LABELS))], "room": room, "qualifier": None}
 
-    conditions = [{**named(), "truth": bool(truth)} for truth in truths]
+    conditions = [{**named(), "definite": False, "truth": bool(truth)} for truth in truths]
     leaves = [{"moves": [named() for _ in range(rng.integers(1, 4))]} for _ in range(shape.leaves)]
     asked = " and ".join(f"a {c['label']} in the {c['room']['label']}" for c in conditions)
     goals = ", ".join(leaf["moves"][-1]["label"] for leaf in leaves)
     return {
-        "episode_id": f"{scene}-{category}-{number}",
+        "episode_hash": f"{scene}-{category}-{number}",
         "source": "made",
         "scene_id": scene,
         "category": category,
@@ -87,7 +87,7 @@ def rows_of() -> RowsOf:
         for category in sampler.wanted.per_category:
             for k, program in enumerate(sampler.candidates(category)):
                 yield {
-                    "episode_id": f"{scene.scene_id} {category} {k}",
+                    "episode_hash": f"{scene.scene_id} {category} {k}",
                     "source": scene.family,
                     "scene_id": scene.scene_id,
                     "category": category,

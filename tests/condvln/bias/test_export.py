@@ -10,8 +10,8 @@ from typing import Literal
 import pytest
 
 from condvln.bias import BiasReport, Finding, judge_export
-from condvln.export.snapshot import ExportConfig, export_snapshot
-from factory.local_store import LocalStore
+from condvln.export.snapshot import export_snapshot
+from factory.store import LocalStore
 from jobs.bias import add_bias, priors_behind
 from jobs.report import Report
 from schemas.config import SplitsConfig
@@ -25,7 +25,7 @@ SCENES = {"replicacad": [f"v3_sc0_staging_{k:02}" for k in range(8)]}
 def leaking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An export of made rows, whose nearest leaf is then made the gold one in all of its manifests."""
     folder = tmp_path_factory.mktemp("leaking")
-    export_snapshot(made_snapshot(SCENES), folder, ExportConfig())
+    export_snapshot(made_snapshot(SCENES), folder)
     for path in (folder / "manifest").glob("*.jsonl"):
         rows = [json.loads(line) for line in path.read_text().splitlines()]
         for row in rows:
@@ -35,8 +35,7 @@ def leaking(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_verdict_stands_in_the_summary_and_on_the_card(tmp_path: Path) -> None:
-    done = export_snapshot(made_snapshot(SCENES), tmp_path, ExportConfig())
-    assert done.bias is not None
+    done = export_snapshot(made_snapshot(SCENES), tmp_path)
     assert done.bias.tests > 0
     assert json.loads((tmp_path / "export.json").read_bytes())["bias"] == json.loads(json.dumps(done.bias.document()))
     assert f"Verdict: {done.bias.verdict()}." in (tmp_path / "README.md").read_text()
@@ -44,7 +43,7 @@ def test_the_verdict_stands_in_the_summary_and_on_the_card(tmp_path: Path) -> No
 
 
 def test_nobody_is_judged_who_does_not_ask(tmp_path: Path) -> None:
-    done = export_snapshot(made_snapshot(), tmp_path, ExportConfig(splits=SplitsConfig(bias="off")))
+    done = export_snapshot(made_snapshot(), tmp_path, SplitsConfig(bias="off"))
     assert done.bias is None
     assert json.loads((tmp_path / "export.json").read_bytes())["bias"] is None
     assert "Not tested." in (tmp_path / "README.md").read_text()
@@ -60,7 +59,7 @@ def test_a_failed_gate_warns_or_fails(leaking: Path, action, code: int) -> None:
 
 
 def test_a_passed_gate_never_fails(tmp_path: Path) -> None:
-    export_snapshot(made_snapshot(), tmp_path, ExportConfig())
+    export_snapshot(made_snapshot(), tmp_path)
     report = Report({})
     add_bias(report, judge_export(tmp_path), "fail")
     assert report.exit_code == 0
@@ -94,7 +93,7 @@ def test_priors_of_fewer_scenes_are_named_as_a_cause(leaking: Path, tmp_path: Pa
     add_bias(silent, judged, "warn")
     assert told.lines[:1] == silent.lines
     assert "counted over 5 scenes, but 8 are published" in told.lines[1]
-    assert "condvln rebuild CONFIG --priors" in told.lines[1]
+    assert "condvln generate CONFIG --priors" in told.lines[1]
     full = Pin(tables={"priors": PinnedTable(version=2, hash="0" * 32, rows=1, units=8)})
     store.write("pins/condvln/main.json", full.model_dump_json().encode())
     assert priors_behind(snapshot, "main") is None

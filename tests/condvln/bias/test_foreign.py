@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.bias import judge_files
-from condvln.bias.clauses import is_conditional, motion, read_clauses
-from condvln.bias.foreign_episodes import read_foreign
+from condvln.bias.foreign_gate import is_conditional, motion, read_clauses, read_foreign
 from condvln.bias.report import ALPHA
 from schemas.errors import FormatError
 
@@ -186,7 +185,6 @@ def test_files_are_judged_one_by_one_and_corrected_together(tmp_path: Path) -> N
 )
 def test_clauses_are_told_apart(text: str, condition: str, then: str, otherwise: str, ends: tuple[str, str]) -> None:
     found = read_clauses(text)
-    assert found is not None
     assert (found.condition, found.then, found.otherwise) == (condition, then, otherwise)
     assert (motion(found.then, found), motion(found.otherwise, found)) == ends
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from condvln.bias import judge, judge_export
-from condvln.bias.blocks import blocks
 from condvln.bias.gate import LEAST_EPISODES
+from condvln.bias.regression import blocks
 from condvln.bias.report import ALL
 from schemas.errors import FormatError, MissingFileError
 from tests.condvln.bias.conftest import LABELS
@@ -27,7 +27,7 @@ def test_fair_rows_pass(made_rows, seed: int) -> None:
     assert report.passed, report.verdict()
     assert report.verdict().startswith("no guesser beats chance")
     # A test a guesser and part, and the leaves of the cells with 200 episodes and more.
-    assert report.tests == 17 * 4 + len(report.uniformity)
+    assert report.tests == 18 * 4 + len(report.uniformity)
     assert {cell.category: cell.p for cell in report.uniformity} == {"chain": 1.0, "nested_chain": 1.0}
 
 
@@ -79,6 +79,14 @@ def test_a_word_that_goes_with_a_leaf_is_found(made_rows) -> None:
             row["instruction_text"] = row["instruction_text"].replace("go to", "please go to")
 
     assert caught(made_rows(0, leak=leak)) >= {"bag of words", "form of the text"}
+
+
+def test_goals_that_are_worth_more_are_found(made_rows) -> None:
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        if rng.random() < 0.6:
+            row["program"]["leaves"][row["gold_leaf"]]["moves"][-1]["label"] = "washing machine"
+
+    assert "worth" in caught(made_rows(0, leak=leak))
 
 
 def test_a_voice_that_goes_with_a_leaf_is_found(made_rows) -> None:
@@ -202,7 +210,7 @@ def test_order_says_nothing(made_rows) -> None:
 
 def test_of_a_group_one_episode_is_guessed_at(made_rows) -> None:
     rows = made_rows(2, categories=("simple",))
-    groups = [{**row, "episode_id": f"{row['episode_id']}-g{k}", "group_id": row["episode_id"]}
+    groups = [{**row, "episode_hash": f"{row['episode_hash']}-g{k}", "group_id": row["episode_hash"]}
               for row in rows for k in range(4)]  # fmt: skip
     report = judge([*rows, *groups])
     assert report.groups == len(rows)

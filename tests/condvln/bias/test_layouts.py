@@ -21,8 +21,8 @@ from tests.condvln.instructions.made_sampler import made_sampler
 T = Thresholds()
 
 LABELS = (
-    "sofa", "bed", "table", "chair", "stool", "lamp", "sink", "refrigerator", "plant", "desk", "television", "bicycle",
-    "cabinet", "picture", "rug", "trash can", "bench", "wardrobe",
+    "sofa", "bed", "table", "chair", "stool", "lamp", "armchair", "piano", "plant", "desk", "television", "bicycle",
+    "suitcase", "picture", "rug", "trash can", "bench", "vase",
 )  # fmt: skip
 STAGINGS = 10
 MOVED = 3
@@ -73,7 +73,7 @@ def test_what_a_layout_foretells_is_found(scenes, over_all: LabelPriors, rows_of
     report = judge(rows)
     assert {finding.guesser for finding in report.beaten} == {"statement in its layout"}
     (found,) = [f for f in report.beaten if f.part == ALL]
-    assert found.accuracy > found.chance + 0.15
+    assert found.accuracy > found.chance + 0.12
     # By other names the same scenes are no stagings, and who mixes them up learns nothing.
     assert judge([{**row, "scene_id": f"{row['scene_id']} b"} for row in rows]).passed
 

@@ -15,7 +15,7 @@ from condvln.bias import BiasReport, judge
 from condvln.instructions import LabelPriors, PriorBits
 from condvln.relations import relate_scene, text_facts
 from condvln.scene import Scene
-from condvln.scene.layouts import layout_of
+from condvln.scene.scene import layout_of
 from condvln.sources.registry import open_source
 from schemas.config import Thresholds
 from schemas.program import CATEGORIES as ALL_CATEGORIES

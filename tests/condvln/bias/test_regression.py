@@ -1,18 +1,15 @@
-"""The regression of the bias gate against scikit-learn's, and its guesses against rounding."""
+"""The guesses of the bias gate's regression depend neither on the solver nor on rounding."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csr_matrix
 from sklearn.linear_model import LogisticRegression
 
-from condvln.bias.blocks import NO_GUESS, progressive
-from condvln.bias.regression import LEAST_TEXTS, PENALTY, TIE, fitted_scores, regressed, word_features
+from condvln.bias.regression import LEAST_TEXTS, NO_GUESS, PENALTY, progressive, regressed, word_features
 
 
 @dataclass(frozen=True)
@@ -22,49 +19,8 @@ class View:
     gold: int
 
 
-def drawn(seed: int, texts: int, classes: int) -> tuple[csr_matrix, np.ndarray]:
-    """Word features of random texts, and answers that some of the words predict."""
-    rng = np.random.default_rng(seed)
-    table = rng.random((texts, 30)) < rng.random(30)
-    gold = (table[:, :3].sum(axis=1) + rng.integers(2, size=texts)) % classes
-    return csr_matrix(table.astype(float)), gold.astype(np.int64)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 5), st.permutations(range(80)))
-@settings(max_examples=10)
-def test_words_that_always_occur_together_count_each(seed: int, classes: int, order: list[int]) -> None:
-    """Some columns occur twice or three times; scikit-learn gets them all, and ours in another order."""
-    features, gold = drawn(seed, 60, classes)
-    features = features[:, [*range(30), *range(30), *range(20)]][:, order]
-    (scores,) = np.moveaxis(fitted_scores(features, gold, np.ones((60, 1), dtype=np.bool_)), 1, 0)
-    model = LogisticRegression(C=1 / PENALTY, solver="newton-cholesky", tol=1e-12, max_iter=1000)
-    model.fit(features, gold)
-    odds = np.exp(scores - scores.max(axis=1, keepdims=True))[:, model.classes_]
-    assert odds / odds.sum(axis=1, keepdims=True) == pytest.approx(model.predict_proba(features), abs=TIE / 10)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 6), st.lists(st.integers(12, 60), min_size=1, max_size=4))
-@settings(max_examples=10)
-def test_probabilities_are_those_of_scikit_learn(seed: int, classes: int, sizes: list[int]) -> None:
-    """In all fits side by side, whichever classes a fit has."""
-    features, gold = drawn(seed, 60, classes)
-    inside = np.arange(60)[:, None] < np.array(sorted(sizes))
-    inside = inside[:, [len(set(gold[mask].tolist())) > 1 for mask in inside.T]]
-    if not inside.shape[1]:
-        return
-    scores = fitted_scores(features, gold, inside)
-    for k, mask in enumerate(inside.T):
-        model = LogisticRegression(C=1 / PENALTY, solver="newton-cholesky", tol=1e-12, max_iter=1000)
-        model.fit(features[mask], gold[mask])
-        own = scores[:, k]
-        assert set(np.flatnonzero(np.isfinite(own[0])).tolist()) == set(model.classes_.tolist())
-        odds = np.exp(own - own.max(axis=1, keepdims=True))
-        mine = (odds / odds.sum(axis=1, keepdims=True))[:, model.classes_]
-        assert mine == pytest.approx(model.predict_proba(features), abs=TIE / 10)
-
-
-def test_guesses_are_those_of_scikit_learn() -> None:
-    """Scene by scene, with the same words."""
+def test_guesses_do_not_depend_on_the_solver() -> None:
+    """Another solver, run to a far smaller gradient, guesses the same."""
     rng = np.random.default_rng(3)
     words = np.array([f"w{k}" for k in range(40)])
     views = []

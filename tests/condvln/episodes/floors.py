@@ -10,12 +10,14 @@ from condvln.episodes.goals import blocked_footprints, scene_goals
 from condvln.episodes.placing import Placer
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
+from condvln.navigation.sight import Recognition
 from condvln.scene import Room, Scene, SceneObject
-from condvln.scene.geometry import SceneGeometry
+from condvln.scene.scene import SceneGeometry
 from schemas.config import EpisodeConfig, GoalsConfig, PlacesConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
 
 CELL = 0.25
+RULE = Recognition.of(PlacesConfig(), EpisodeConfig())
 
 
 def placer_of(

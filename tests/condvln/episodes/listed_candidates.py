@@ -11,7 +11,7 @@ __all__ = ["Listed"]
 
 
 class Listed:
-    """Candidates of a list, in its order; see ``condvln.episodes.pool.Supply``."""
+    """Candidates of a list, in its order; like ``condvln.episodes.candidates.CandidateSupply``."""
 
     def __init__(self, candidates: Iterable[Candidate]) -> None:
         self._candidates = list(candidates)

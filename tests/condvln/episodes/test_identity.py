@@ -1,18 +1,16 @@
-"""Integer ids made from hashes, what becomes of a collision, and rows that had the hash as their id."""
+"""Integer ids made from hashes, and what becomes of a collision."""
 
 from __future__ import annotations
 
 import hashlib
 
 import numpy as np
-import pyarrow as pa
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.episodes.identity import colliding, content_hash, numeric_id, with_numbers
+from condvln.episodes.identity import colliding, content_hash, numeric_id
 from condvln.episodes.pool import EpisodePool
 from condvln.episodes.table import placements_table
-from schemas.tables import EPISODES
 
 HASHES = st.text("0123456789abcdef", min_size=2, max_size=2)
 
@@ -45,18 +43,5 @@ def test_of_each_id_the_smallest_hash_stays(rows: list[tuple[int, str]]) -> None
     assert lost == [k for k, (number, name) in enumerate(rows) if name > min(h for i, h in rows if i == number)]
 
 
-def test_rows_of_the_release_before_get_numbers() -> None:
-    schema = pa.schema([("scene_id", pa.string()), ("episode_id", pa.string()), ("words", pa.int32())])
-    former = pa.record_batch(
-        [pa.array(["s", "s"]), pa.array(["0a", "0b"]), pa.array([7, 8], pa.int32())], schema=schema
-    )
-    rows = with_numbers(former).to_pylist()
-    assert rows == [
-        {"scene_id": "s", "episode_id": numeric_id(name), "episode_hash": name, "words": words}
-        for name, words in (("0a", 7), ("0b", 8))
-    ]
-    assert with_numbers(former).schema.field("episode_id").type == EPISODES.field("episode_id").type
-    assert with_numbers(former, ["words", "episode_hash"]).schema.names == ["words", "episode_hash"]
-    now = with_numbers(former)
-    assert with_numbers(now).equals(now)
+def test_a_table_without_placements_has_no_rows() -> None:
     assert placements_table("flat", EpisodePool(), {}, "").num_rows == 0

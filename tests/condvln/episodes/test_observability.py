@@ -11,11 +11,9 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
-from condvln.episodes.kernels.prefix import spaced_points
 from condvln.episodes.observability import Observation, Observer, common_prefix
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
@@ -23,15 +21,14 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import View, eyes_at
 from condvln.samples import make_samples
 from condvln.scene import Room, Scene, SceneObject
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.scene import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.config import EpisodeConfig, PlacesConfig
-from schemas.config.constants import EYE_SPACING, FLOOR_LIFT, FLOOR_POINTS, PREFIX_SAMPLES, PREFIX_STRAY
+from schemas.config.constants import FLOOR_LIFT, FLOOR_POINTS, PREFIX_STRAY
 from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from tests.condvln.episodes.floors import box, box_triangles, grid_floor, inside, surfaces_of
 
-F64 = NDArray[np.float64]
 PLACES, RULES = PlacesConfig(), EpisodeConfig()
 WEST, EAST = RoomRef(room_id="west", label="kitchen"), RoomRef(room_id="east", label="bedroom")
 # The wall stands at x = 4 and leaves a doorway from z = 3 to z = 4.
@@ -100,7 +97,7 @@ def observed(
     scene = two_rooms(*objects)
     known = None if geometry == "none" else surfaces(scene, approximate=geometry == "approximate")
     observer = Observer(scene, SceneView(scene, known), floor_of(scene), PLACES, rules)
-    return observer.observe([(program, placement)])[0]
+    return observer.observe(program, placement)
 
 
 STAYING = ways([[2, 2], [2, 3.5], [3, 3.5]], [[2, 2], [1, 2.5]])
@@ -124,7 +121,7 @@ def test_from_the_start_on_the_way_or_only_by_a_detour(geometry) -> None:
 
 @SURFACES
 def test_a_thing_at_the_feet_is_seen_from_farther_away_only(geometry) -> None:
-    """No level camera of 90° sees it from the start, 66° below the eye; 1.5 m on the way it is 34° below."""
+    """No level camera sees it from the start, 66° below the eye; 1.9 m away it is 31° below."""
     boots = thing("boots", "west", 2, 1.5, half=0.1, top=0.1)
     away = ways([[2, 2], [2, 3.5], [3, 3.5]], [[2, 2], [2, 3.5], [1, 3.5]])
     there = asking(present("boots", WEST, "boots"))
@@ -134,8 +131,8 @@ def test_a_thing_at_the_feet_is_seen_from_farther_away_only(geometry) -> None:
 
 
 @SURFACES
-@pytest.mark.parametrize(("yaw", "seen"), [(45.0, True), (0.0, True), (-30.0, False), (180.0, False)])
-def test_the_first_view_is_ninety_degrees_wide(geometry, yaw, seen) -> None:
+@pytest.mark.parametrize(("yaw", "seen"), [(45.0, True), (20.0, True), (-10.0, False), (180.0, False)])
+def test_the_first_view_is_79_degrees_wide(geometry, yaw, seen) -> None:
     placement = dataclasses.replace(STAYING, yaw=math.radians(yaw))
     found = observed(asking(present("lamp", WEST, "lamp")), placement, geometry=geometry)
     # The lamp stands to the north-west of the start: its middle at 45°, all of it between 30° and 60°.
@@ -147,8 +144,8 @@ def test_a_room_is_overlooked_from_its_corner() -> None:
         placement = ways([[0.05, 3.95], [1, 2]], [[0.05, 3.95], [2, 3]], yaw=yaw)
         return observed(asking(present("sofa", WEST)), placement, *OBJECTS[2:])
 
-    assert found(math.radians(-45)).in_view
-    assert not found(math.radians(135)).in_view
+    # A first view that is level never shows the floor near the feet.
+    assert not found(math.radians(-45)).in_view
     assert found(math.radians(135)).observability == "O0"
 
 
@@ -234,10 +231,9 @@ def test_each_is_judged_as_if_alone() -> None:
     conditions = [present(o.label, WEST if o.room_id == "west" else EAST, o.object_id) for o in OBJECTS]
     placed = [(asking(c), way) for c in (*conditions, present("sofa", EAST)) for way in (STAYING, INTO_THE_EAST)]
     view, floor = SceneView(scene, surfaces(scene, approximate=False)), floor_of(scene)
-    together = Observer(scene, view, floor, PLACES, RULES).observe(placed)
     shared = Observer(scene, view, floor, PLACES, RULES)
-    alone = [shared.observe([one])[0] for one in reversed(placed)][::-1]
-    assert together == alone
+    together = [shared.observe(*one) for one in placed]
+    assert together == [Observer(scene, view, floor, PLACES, RULES).observe(*one) for one in placed]
     assert {o.observability for o in together} == {"O0", "O1", "O2"}
 
 
@@ -339,35 +335,3 @@ def test_walls_of_real_houses_hide_their_other_rooms(real_data: Path) -> None:
     source = open_source("procthor", real_data / "procthor")
     for handle in source.handles()[:6:3]:
         walls_hide(source, handle.scene_id)
-
-
-def walked(path: F64) -> F64:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-
-
-def points_at(path: F64, at: F64) -> F64:
-    return np.column_stack([np.interp(at, walked(path), path[:, axis]) for axis in range(3)])
-
-
-@given(st.integers(1, 4), st.integers(1, 7), st.integers(0, 2**32))
-def test_shared_beginnings_and_eyes_on_them_equal_those_of_numpy_bit_for_bit(p: int, most: int, seed: int) -> None:
-    """Paths share some corners; some corners are repeated, and distances of samples fall on corners."""
-    rng = np.random.default_rng(seed)
-    trunk = np.round(rng.uniform(-3, 3, (most, 3)) * np.array([1.0, 0.1, 1.0]), 3)
-    paths = [
-        np.concatenate([trunk[: rng.integers(1, most + 1)], np.round(rng.uniform(-4, 4, (rng.integers(0, 4), 3)), 1)])
-        for _ in range(p)
-    ]
-    paths = [path[np.sort(rng.integers(0, len(path), len(path) + 1))] if rng.random() < 0.3 else path for path in paths]
-    paths = [np.concatenate([trunk[:1], path]) for path in paths]
-    shortest = min(walked(path)[-1] for path in paths)
-    at = np.append(np.arange(0.0, shortest, PREFIX_SAMPLES), shortest)
-    places = np.array([points_at(path, at) for path in paths])
-    apart = np.linalg.norm(places[:, None] - places[None], axis=-1).max(axis=(0, 1)) > PREFIX_STRAY
-    last = max(int(np.argmax(apart)) if apart.any() else len(at), 1) - 1
-    inner = (walked(paths[0]) > 0.0) & (walked(paths[0]) < at[last])
-    prefix = common_prefix(paths)
-    np.testing.assert_array_equal(prefix, np.concatenate([trunk[:1], paths[0][inner], places[0][[last]]]))
-    count = max(1, math.ceil(walked(prefix)[-1] / EYE_SPACING))
-    spaced = points_at(prefix, np.linspace(0.0, walked(prefix)[-1], count + 1))
-    np.testing.assert_array_equal(spaced_points(prefix, EYE_SPACING), spaced)

@@ -10,10 +10,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from condvln.episodes.picture import HIGH, LOW, draw_episode, wall_lines
-from condvln.episodes.picture_labels import Label, place_labels
+from condvln.episodes.picture import HIGH, LOW, Label, draw_episode, place_labels, wall_lines
 from condvln.scene import Room, Scene
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.scene import STRUCTURE, SceneGeometry
 
 
 def test_labels_cover_nothing_and_the_needed_ones_are_all_there() -> None:

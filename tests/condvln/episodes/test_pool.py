@@ -15,17 +15,14 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from condvln.episodes import pool as pool_module
-from condvln.episodes.candidates import Candidate, Draft, unplaced_programs
+from condvln.episodes.candidates import REASONS, Candidate, unplaced_programs
 from condvln.episodes.identity import content_hash
-from condvln.episodes.label_share import allowed_share, most_leaves, over_share
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placement, Placer, Rejected
-from condvln.episodes.pool import EpisodePool, fill_pool
-from condvln.episodes.rules import REASONS
+from condvln.episodes.pool import EpisodePool, allowed_share, fill_pool, most_leaves, over_share
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.instructions.degeneracy import outcomes
-from condvln.instructions.sampling import Outline
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
 from condvln.seeding import Draws, generator
@@ -138,9 +135,7 @@ def test_a_cell_bounds_the_routes_to_all_leaves(flat) -> None:
         gold = episode.placement.leaves[row["gold_leaf"]]
         assert row["actions"] == gold.walk.actions.tolist()
         assert as_points(row["locations"]) == round_mm(gold.walk.locations).tolist()
-        assert [tuple(e.values()) for e in row["evidence"]] == [
-            (e.condition, e.observability, e.in_view) for e in episode.observation.evidence
-        ]
+        assert row["evidence"] == [e.model_dump() for e in episode.observation.evidence]
         for k, (leaf, placed) in enumerate(zip(row["leaves"], episode.placement.leaves, strict=True)):
             stops = [*leaf["subgoals"], {"object_id": leaf["object_id"], "position": leaf["reference_path"][-1]}]
             assert (leaf["leaf"], tuple(stop["object_id"] for stop in stops)) == (k, placed.objects)
@@ -192,9 +187,9 @@ def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:
     rows = placements_table("flat", pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
     for row, episode in zip(rows, pool.episodes, strict=True):
         assert row["observability"] == episode.observation.observability
-        assert row["evidence"] == [
-            {"condition": 0, "observability": row["observability"], "in_view": row["evidence_in_view"]}
-        ]
+        (evidence,) = episode.observation.evidence
+        expected = {"condition": 0, "observability": row["observability"], "in_view": row["evidence_in_view"]}
+        assert row["evidence"] == [expected | {"degrees": evidence.degrees}]
         assert row["observability_approximate"] is True
 
 
@@ -591,38 +586,3 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     assert (EpisodeConfig().max_steps, paper.step_ceiling, TextConfig().steps_per_word) == (500, 500, 20)
     with pytest.raises(ValidationError, match="500"):
         EpisodeConfig(max_steps=501)
-
-
-class Drafts(Listed):
-    """The same candidates, of which only outlines are known until they are asked for."""
-
-    def __init__(self, candidates: Iterable[Candidate]) -> None:
-        super().__init__(candidates)
-        self.made: list[str] = []
-
-    def more(
-        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
-    ) -> Sequence[Draft]:
-        return [self._draft(one, cell) for one in super().more(cell, count, golds, moves)]
-
-    def _draft(self, one: Candidate, cell: InstructionCell) -> Draft:
-        def program() -> Program:
-            self.made.append(one.instruction_id)
-            return one.program
-
-        return Draft(Outline(one.moves, one.labels, one.gold, program), cell, lambda _: one)
-
-
-def test_programs_of_candidates_that_are_not_tried_are_not_made() -> None:
-    cell = simple(count=4)
-    candidates = drawn(cell)
-    supply = Drafts(candidates)
-    placer = Anywhere([candidates[0].instruction_id])
-    pool, whole = fill_pool(supply, placer, (cell,), 1.0, lambda _: False), filled_from(candidates, placer, (cell,))
-    assert [e.candidate for e in pool.episodes] == [e.candidate for e in whole.episodes]
-    assert (pool.rejections, pool.examples) == (whole.rejections, whole.examples)
-    assert len(pool.episodes) == 4
-    assert pool.candidates[cell] == len(candidates) > 10
-    examples = {one.instruction_id for one in pool.examples.values()}
-    assert len(supply.made) == len(set(supply.made))
-    assert set(supply.made) == {e.instruction_id for e in pool.episodes} | examples

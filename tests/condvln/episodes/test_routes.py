@@ -1,4 +1,4 @@
-"""Clearance and step counts against closed forms."""
+"""Ways, headings and gaps between objects against closed forms."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point
 
+from condvln.episodes.kernels.distances import comes_within
 from condvln.episodes.placing import heading_degrees, yaw_quaternion
-from condvln.episodes.routes import GoalField, clearance
+from condvln.episodes.starts import GoalField
 from tests.condvln.episodes.floors import grid_floor
 
 flat_points = st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=2, max_size=6).map(
@@ -20,15 +21,17 @@ flat_points = st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=2
 
 
 @given(flat_points, flat_points)
-def test_clearance_is_shapely_s_on_the_plane(path: np.ndarray, points: np.ndarray) -> None:
+def test_a_way_comes_as_near_as_shapely_says(path: np.ndarray, points: np.ndarray) -> None:
     line = LineString(path[:, [0, 2]])
     expected = min(line.distance(Point(x, z)) for x, _, z in points)
-    assert clearance(path, points) == pytest.approx(expected, abs=1e-9)
+    assert comes_within(path, points, expected + 1e-9)
+    assert not comes_within(path, points, expected - 1e-9)
 
 
-def test_clearance_counts_height() -> None:
+def test_nearness_counts_height() -> None:
     path = np.array([[0, 0, 0], [1, 0, 0.0]])
-    assert clearance(path, np.array([[0.5, 3.0, 4.0]])) == pytest.approx(5.0)
+    point = np.array([[0.5, 3.0, 4.0]])
+    assert [comes_within(path, point, limit) for limit in (4.999, 5.001)] == [False, True]
 
 
 @pytest.mark.parametrize(

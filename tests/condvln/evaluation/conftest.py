@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from condvln.evaluation.export_folder import Export, open_export
+from condvln.evaluation.split import Export, open_export
 from condvln.evaluation.task import LeafTask, Task
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
@@ -27,6 +27,9 @@ class OpenPlain:
 
     def snap_points(self, points: Any, island: int | None = None) -> np.ndarray:
         return np.asarray(points, dtype=np.float64).reshape(-1, 3)
+
+    def try_steps(self, starts: Any, ends: Any) -> np.ndarray:
+        return np.asarray(ends, dtype=np.float64).reshape(-1, 3)
 
     def geodesic_distances(self, starts: Any, ends: Any) -> np.ndarray:
         a, b = np.broadcast_arrays(np.asarray(starts, float).reshape(-1, 3), np.asarray(ends, float).reshape(-1, 3))
@@ -90,8 +93,9 @@ def task_with(
             float(leaf.get("route_length", 1.0)),
             float(leaf.get("geodesic_distance", 1.0)),
             np.array([start, *leaf.get("subgoals", []), leaf["goals"][0]], float),
+            (*(f"stop at {[*map(float, stop)]}" for stop in leaf.get("subgoals", [])), f"goal {number}"),
         )
-        for leaf in leaves
+        for number, leaf in enumerate(leaves)
     )
     axes = {
         "source": "made",

@@ -6,8 +6,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
+
+from schemas.program import Program
 
 Point = tuple[float, float, float]
 Distance = Callable[[Point, Point], float]
@@ -47,12 +49,15 @@ def ndtw(path: Sequence[Point], reference: Sequence[Point], tau: float) -> float
     return math.exp(-dtw(no_repeats(path), reference) / (len(reference) * tau))
 
 
-def cls(path: Sequence[Point], reference: Sequence[Point], tau: float) -> float:
+def cls(path: Sequence[Point], reference: Sequence[Point], tau: float, walked: float | None = None) -> float:
     coverage = sum(math.exp(-min(euclid(r, p) for p in path) / tau) for r in reference) / len(reference)
+    walked = length(path) if walked is None else walked
+    if math.isinf(walked):
+        return 0.0
     expected = coverage * length(reference)
-    if expected == 0 and length(path) == 0:
+    if expected == 0 and walked == 0:
         return coverage
-    return coverage * expected / (expected + abs(expected - length(path)))
+    return coverage * expected / (expected + abs(expected - walked))
 
 
 def spl(success: bool, shortest: float, walked: float) -> float:
@@ -103,6 +108,34 @@ def leaf_of(stopped: bool, end: Point, leaves: Sequence[Sequence[Point]], tau: f
     return min(near)[1] if near else -1
 
 
+def in_time(
+    path: Sequence[Point],
+    decided: Sequence[int | None],
+    program: Program,
+    leaves: Sequence[dict[str, Any]],
+    tau: float,
+    distance: Distance,
+) -> bool:
+    """Whether each condition of the gold route is decided before the path comes near a stop or goal that only leaves
+    with its answer have, tried over all truths of the conditions. No two leaves have one goal.
+    """
+    asked = [*dict.fromkeys(program.route()[0])]
+    for at, (number, pose) in enumerate(zip(asked, decided, strict=True)):
+        stops: dict[bool, set[Point]] = {True: set(), False: set()}
+        goals: set[Point] = set()
+        for truths in product((True, False), repeat=len(program.conditions)):
+            if all(truths[k] == program.conditions[k].truth for k in asked[:at]):
+                right = truths[number] == program.conditions[number].truth
+                leaf = leaves[program.route(truths)[1]]
+                stops[right] |= {*leaf["subgoals"]}
+                goals |= {*leaf["goals"]} if right else set()
+        only = (stops[True] - stops[False]) | goals
+        near = [t for t, p in enumerate(path) if any(distance(p, place) < tau for place in only)]
+        if pose is None or (near and near[0] <= pose):
+            return False
+    return True
+
+
 def judge(
     path: Sequence[Point],
     stopped: bool,
@@ -115,8 +148,15 @@ def judge(
     max_steps: int | None,
     distance: Distance,
     mode: str = "geodesic",
+    program: Program,
+    looking: tuple[Sequence[Point], float] | None,
+    decided: Sequence[int | None] | None,
 ) -> dict[str, float]:
-    """Every measure of one episode."""
+    """Every measure of one episode.
+
+    looking : dense locations of the looking path, and its length
+    decided : for each condition of the gold route, the pose at which it is decided
+    """
     if max_steps is not None and len(path) - 1 > max_steps:
         path, stopped = path[: max_steps + 1], False
     goals, subgoals = leaves[gold]["goals"], leaves[gold]["subgoals"]
@@ -131,18 +171,27 @@ def judge(
             "euclidean": lambda: bsa_authors(path, subgoals, tau),
             "euclidean-any-order": lambda: bsa_any_order(path, subgoals, tau),
         }[mode]()
+    far = [math.hypot(a[0] - b[0], a[2] - b[2]) > 0.3325 or abs(a[1] - b[1]) > 0.5 for a, b in pairwise(path)]
+    total = sum(distance(a, b) if gap else euclid(a, b) for gap, (a, b) in zip(far, pairwise(path), strict=True))
     leaf = leaf_of(stopped, path[-1], [leaf["goals"] for leaf in leaves], tau, distance)
     near = ndtw(path, reference, 3.0)
     return {
-        "path_length": length(path),
+        "path_length": total if math.isfinite(total) else math.nan,
         "navigation_error": to_goal[-1] if math.isfinite(to_goal[-1]) else min(euclid(path[-1], g) for g in goals),
         "success": float(success),
         "oracle_success": float(any(d < tau for d in to_goal)),
-        "spl": spl(success, min(distance(start, g) for g in goals), length(path)),
-        "spl_route": spl(success, leaves[gold]["route_length"], length(path)),
+        "spl": spl(success, min(distance(start, g) for g in goals), total),
+        "spl_route": spl(success, leaves[gold]["route_length"], total),
         "ndtw": near,
         "sdtw": near if success else 0.0,
-        "cls": cls(path, reference, 3.0),
+        "cls": cls(path, reference, 3.0, total),
+        "spl_look": math.nan if looking is None else spl(success, looking[1], total),
+        "ndtw_look": math.nan if looking is None else ndtw(path, looking[0], 3.0),
+        "sdtw_look": math.nan if looking is None else success * ndtw(path, looking[0], 3.0),
+        "cls_look": math.nan if looking is None else cls(path, looking[0], 3.0, total),
+        "justified": math.nan
+        if decided is None
+        else float(success and in_time(path, decided, program, leaves, tau, distance)),
         "bsa": bsa,
         "csr": math.nan if math.isnan(bsa) else float(success and bsa == 1),
         "bsa_all": bsa_all,
@@ -153,4 +202,5 @@ def judge(
         "no_commit": float(leaf == -1),
         "unreachable": float(not math.isfinite(to_goal[-1])),
         "stopped": float(stopped),
+        "gaps": float(sum(far)),
     }

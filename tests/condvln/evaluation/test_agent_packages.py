@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import urllib.request
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -13,9 +14,9 @@ import numpy as np
 import pytest
 
 from condvln.evaluation.agents import agent_named
-from condvln.evaluation.export_folder import Export
+from condvln.evaluation.environment.tools import EpisodeTools, tools_for
+from condvln.evaluation.split import Export
 from condvln.evaluation.task import Task
-from condvln.evaluation.tools import EpisodeTools, tools_for
 from tests.condvln.evaluation.serving import running
 
 HOW = "make agents installs it"
@@ -154,7 +155,7 @@ def address(tools: type[EpisodeTools]) -> Iterator[str]:
     pytest.importorskip("openenv", reason=f"openenv is absent: {HOW}")
     import uvicorn
 
-    from condvln.evaluation.openenv_server import application
+    from condvln.evaluation.environment.openenv_server import application
 
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -198,6 +199,42 @@ def test_openenv_s_client_walks_an_episode(address: str, tools: type[EpisodeTool
     assert not over.observation.get("metadata")
 
 
+def post(address: str, name: str, **body: Any) -> Any:
+    data = json.dumps(body).encode()
+    request = urllib.request.Request(f"{address}/{name}", data, {"Content-Type": "application/json"})
+    with urllib.request.urlopen(request, timeout=60) as answer:
+        return json.load(answer)
+
+
+def test_openenv_s_episodes_go_on_by_plain_http(
+    address: str, tools: type[EpisodeTools], made: tuple[Export, Path]
+) -> None:
+    """OpenEnv makes an environment for each request; episodes are told apart by their id."""
+    first, second = made[0].tasks("train")[:2]
+    early = post(address, "step", action={"tool": "look"})
+    assert "no episode has begun" in early["observation"]["text"]
+    for task in (first, second):
+        began = post(address, "reset", episode_id=task.episode_id)
+        assert began["observation"]["instruction"] == task.text
+    turned = post(address, "step", action={"tool": "turn", "degrees": 30})
+    assert (turned["observation"]["episode_id"], turned["observation"]["steps_left"]) == (
+        second.episode_id,
+        second.max_steps - 2,
+    )
+    other = post(address, "step", action={"tool": "turn", "degrees": -15}, episode_id=first.episode_id)
+    assert (other["observation"]["episode_id"], other["observation"]["steps_left"]) == (
+        first.episode_id,
+        first.max_steps - 1,
+    )
+    again = post(address, "step", action={"tool": "turn", "degrees": 15}, episode_id=second.episode_id)
+    assert again["observation"]["steps_left"] == second.max_steps - 3
+    for task in (first, second):
+        over = post(address, "step", action={"tool": "stop"}, episode_id=task.episode_id)
+        assert (over["done"], over["observation"]["episode_id"]) == (True, task.episode_id)
+    after = post(address, "step", action={"tool": "look"}, episode_id=first.episode_id)
+    assert "no episode has begun" in after["observation"]["text"]
+
+
 def test_inspect_scores_a_walk(
     tools: type[EpisodeTools], made: tuple[Export, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,7 +247,7 @@ def test_inspect_scores_a_walk(
     # It would download a tokenizer.
     monkeypatch.setattr(ModelAPI, "count_text_tokens", tokens)
 
-    from condvln.evaluation.inspect_task import inspect_task
+    from condvln.evaluation.environment.inspect_task import inspect_task
 
     def calls(name: str, **arguments: Any) -> ModelOutput:
         return ModelOutput.for_tool_call("mockllm/model", name, arguments)

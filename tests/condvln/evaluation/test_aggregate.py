@@ -12,6 +12,7 @@ from condvln.evaluation.aggregate import (
     by_axis,
     compare,
     divergences,
+    estimate,
     group_accuracy,
     leaf_confusion,
     summary,
@@ -20,7 +21,6 @@ from condvln.evaluation.aggregate import (
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.measures import decisions, first_divergence
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.statistics import estimate
 from condvln.evaluation.task import Task
 from schemas.errors import UsageError
 from schemas.program import CATEGORIES, SHAPES

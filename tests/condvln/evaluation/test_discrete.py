@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from condvln.evaluation.discrete import GraphDistances, GraphEpisode, evaluate_graph, read_graph_episodes
 from condvln.evaluation.predictions import GraphPrediction
-from condvln.navigation.connectivity import ViewpointGraph
+from condvln.evaluation.split import SplitOptions, evaluate_split
+from condvln.navigation.graph_pathfinder import ViewpointGraph
 from schemas.errors import FormatError, MissingFileError
 from tests.condvln.evaluation import plain
 
@@ -114,7 +115,7 @@ def test_edges_of_the_definition(line: GraphDistances) -> None:
     assert found["1_0"].navigation_error == 4
     lost = evaluate_graph(episodes, [GraphPrediction("2_0", ("v0", "v1"))], {"s": line})["2_0"]
     assert (lost.success, lost.spl, lost.ndtw) == (0, 0, 0)
-    assert lost.navigation_error == math.inf
+    assert (math.isnan(lost.navigation_error), lost.unreachable) == (True, 1)
 
 
 @pytest.mark.parametrize(
@@ -136,3 +137,32 @@ def test_wrong_r2r_files(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(FormatError, match=r"R2R\.json: "):
         read_graph_episodes(path)
+
+
+def test_steps_between_viewpoints_without_an_edge_are_counted(line: GraphDistances) -> None:
+    episode = GraphEpisode("1_0", "s", ("v0", "v1", "v2"))
+    for path, gaps, length, spl in (
+        (("v0", "v1", "v2"), 0, 4, 1),
+        (("v0", "v0", "v1", "v1", "v2"), 0, 4, 1),
+        (("v0", "v2"), 1, 4, 1),
+        (("v0", "v2", "v0", "v2"), 3, 12, 1 / 3),
+        (("v0", "v3", "v2"), 2, math.nan, 0),
+    ):
+        found = evaluate_graph([episode], [GraphPrediction("1_0", path)], {"s": line})["1_0"]
+        assert (found.gaps, found.success, found.spl) == (gaps, 1, pytest.approx(spl)), path
+        assert found.path_length == pytest.approx(length, nan_ok=True), path
+        assert 0 <= found.ndtw <= 1
+        assert 0 <= found.cls <= 1
+
+
+@pytest.mark.parametrize("name", ["flat", "duet_nested", "duet_last_jump"])
+def test_global_jumps_score_as_the_same_walk_in_single_steps(real_data: Path, tmp_path: Path, name: str) -> None:
+    """Three files of one perfect walk in each episode, as three agents write it."""
+    folder = real_data / "cases" / "duet"
+    connectivity = real_data / "mp3d" / "connectivity"
+    (tmp_path / "R2R_sample.json").write_bytes((folder / "R2R_sample.json").read_bytes())
+    options = SplitOptions(connectivity=(connectivity,))
+    (found,), _ = evaluate_split(tmp_path, "sample", [folder / f"{name}.json"], options)
+    for measure in ("success", "spl", "ndtw", "sdtw", "cls"):
+        np.testing.assert_allclose(found.scores[measure], 1, err_msg=measure)
+    assert (found.scores["gaps"] == 0).all()

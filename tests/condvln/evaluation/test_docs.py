@@ -11,12 +11,22 @@ import numpy as np
 import pytest
 
 from condvln.evaluation.agents import AGENTS
+from condvln.evaluation.aggregate import REPLICATES
 from condvln.evaluation.discrete import ERROR_MARGIN
-from condvln.evaluation.goal_distances import SLACK, SNAPPED, Nearness
+from condvln.evaluation.goal_distances import (
+    ASTRAY,
+    OFF_FLOOR,
+    OFF_NAVMESH,
+    RISE,
+    SLACK,
+    SLIDE,
+    SNAPPED,
+    Nearness,
+)
 from condvln.evaluation.measures import FIDELITY_DISTANCE, DistanceMode
+from condvln.evaluation.metrics import METRICS, Shown, keys_of, metrics_of
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import START_TOLERANCE, Score, ScoreRules, score
-from condvln.evaluation.statistics import REPLICATES
 from tests.condvln.evaluation.conftest import OpenPlain, task_with
 
 
@@ -28,6 +38,21 @@ def text(repository: Path) -> str:
 def test_every_measure_is_defined(text: str) -> None:
     for item in fields(Score):
         assert f"`{item.name}`" in text, item.name
+
+
+def test_every_metric_is_a_score_and_every_name_of_it_is_its_own() -> None:
+    assert {metric.key for metric in METRICS} == {item.name for item in fields(Score)} - {
+        "committed_leaf",
+        "divergence",
+    }
+    names = [name for metric in METRICS for name in metric.theirs]
+    assert len(names) == len({*names})
+
+
+@pytest.mark.parametrize("table", ["comparison", "ranking", "plots", "differences"])
+def test_tables_that_show_per_cent_have_such_metrics_only(table: Shown) -> None:
+    assert {metric.kind for metric in metrics_of(table)} == {"percent"}
+    assert table != "ranking" or keys_of(table)[0] == "success", "its interval stands beside it"
 
 
 def test_every_agent_is_described_and_no_other(text: str) -> None:
@@ -44,7 +69,22 @@ def test_constants_are_those_of_the_code(text: str) -> None:
         0.01,
         10_000,
     )
-    for phrase in ("· 3 m))", "nearer than 3 m", "more than 0.25 m", "τ + 1 cm", "more than 1 cm", "10,000 draws"):
+    assert (SLIDE, RISE, ASTRAY, OFF_NAVMESH, OFF_FLOOR) == (1.25, 2, 0.02, 0.1, 0.5)
+    action = (
+        "1.25 times the action",
+        "more than 2 cm from",
+        "twice the action",
+        "0.1 m on the ground or 0.5 m in\n  height",
+    )
+    for phrase in (
+        *action,
+        "· 3 m))",
+        "nearer than 3 m",
+        "more than 0.25 m",
+        "τ + 1 cm",
+        "more than 1 cm",
+        "10,000 draws",
+    ):
         assert phrase in text, phrase
 
 

@@ -14,9 +14,9 @@ from gymnasium.utils.env_checker import check_env
 
 from condvln.evaluation.agents import agent_named
 from condvln.evaluation.environment import ENVIRONMENT_ID, NavigationEnv, SceneViews
-from condvln.evaluation.export_folder import Export
 from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
 from condvln.evaluation.score import score
+from condvln.evaluation.split import Export
 from condvln.navigation.follower import Follower
 from schemas.config import CameraConfig, NoiseConfig
 from schemas.errors import UsageError

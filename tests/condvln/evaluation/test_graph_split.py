@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from condvln.evaluation.evaluate import Evaluation
 from condvln.evaluation.plots import save_figures
+from condvln.evaluation.reading import ReadRules
 from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.evaluation.tables import all_tables
@@ -110,6 +112,15 @@ def test_perfect_lazy_and_stubborn(found: tuple[list[Evaluation], list[Task]], e
     assert [e.agent for e in (perfect, lazy, corner)] == ["perfect", "lazy", "corner"]
 
 
+def test_paths_over_viewpoints_have_all_measures_that_need_no_actions(
+    found: tuple[list[Evaluation], list[Task]],
+) -> None:
+    scores = found[0][2].scores
+    lacking = {name for name, values in scores.items() if np.isnan(values).all()}
+    looking = {"spl_look", "ndtw_look", "sdtw_look", "cls_look", "justified"}
+    assert lacking == {"steps", "collisions", "stopped", "over_budget", "off_navmesh", *looking}
+
+
 def test_the_sweep_moves_the_margin(found: tuple[list[Evaluation], list[Task]]) -> None:
     (perfect, lazy, corner), _ = found
     assert perfect.sweep[1.0]["success"].mean() == 1
@@ -125,6 +136,30 @@ def test_tables_have_what_is_known_and_no_column_of_nothing(found: tuple[list[Ev
     assert not {"steps", "collisions", "stopped", "over_budget"} & set(keys)
 
 
+def test_three_predictions_for_one_text_are_one_episode(
+    export: Path, found: tuple[list[Evaluation], list[Task]], tmp_path: Path
+) -> None:
+    """R2R's evaluator asks for three instructions a path, so our files have each text three times."""
+    items = json.loads((export / "r2r" / "R2R_train.json").read_text())
+    assert all(len(item["instructions"]) == 3 and len({*item["instructions"]}) == 1 for item in items)
+    records = [
+        {"instr_id": f"{item['path_id']}_{k}", "trajectory": [item["path"], item["path"][:1]][k > 0]}
+        for item in items
+        for k in range(3)
+    ]
+    file = tmp_path / "three.json"
+    file.write_text(json.dumps(records))
+    (three,), tasks = evaluate_split(export, "train", [file], options(export))
+    assert len(three) == len(tasks) == len(items)
+    for name, values in found[0][0].scores.items():
+        np.testing.assert_array_equal(three.scores[name], values, err_msg=name)
+    assert three.notes == (f"{2 * len(items)} predictions for texts that the file has again were left out",)
+    file.write_text(json.dumps([record for record in records if record["instr_id"].endswith("_1")]))
+    (second,), _ = evaluate_split(export, "train", [file], options(export))
+    assert second.scores["missing"].sum() == 0
+    assert second.notes == ()
+
+
 def test_a_strangers_file_gets_r2rs_own_measures(export: Path, tmp_path: Path) -> None:
     (tmp_path / "R2R_train.json").write_bytes((export / "r2r" / "R2R_train.json").read_bytes())
     perfect = walks(export, tmp_path / "perfect.json", lambda path: path)
@@ -134,8 +169,8 @@ def test_a_strangers_file_gets_r2rs_own_measures(export: Path, tmp_path: Path) -
     assert set(tables) == {"main", "branches"}
     keys = [column.key for column in tables["main"].columns]
     assert keys == [
-        "source", "agent", "path_length", "navigation_error", "oracle_success", "success", "spl", "spl_route",
-        "ndtw", "sdtw", "cls", "episodes",
+        "source", "agent", "success", "path_length", "navigation_error", "oracle_success", "spl",
+        "spl_route", "ndtw", "sdtw", "cls", "episodes",
     ]  # fmt: skip
     with pytest.raises(UsageError, match="depth"):
         save_figures(evaluations, tmp_path / "plots")
@@ -147,13 +182,14 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
     space.write_text('{"e": [{"position": [0, 0, 0], "stop": true}]}')
     with pytest.raises(UsageError, match="two calls"):
         evaluate_split(export, "train", [graph, space], options(export))
-    for rules, stop in (
-        (ScoreRules(distance="euclidean"), False),
-        (ScoreRules(fast_dtw=True), False),
-        (ScoreRules(), True),
+    for changes in (
+        {"rules": ScoreRules(distance="euclidean")},
+        {"rules": ScoreRules(fast_dtw=True)},
+        {"reading": ReadRules(assume_stop=True)},
+        {"forward": 1.0},
     ):
         with pytest.raises(UsageError, match="scored by R2R's rules"):
-            evaluate_split(export, "train", [graph], SplitOptions(rules, assume_stop=stop))
+            evaluate_split(export, "train", [graph], options(export, **changes))
     with pytest.raises(MissingFileError, match="--connectivity"):
         evaluate_split(export, "train", [graph])
     with pytest.raises(MissingFileError, match=r"R2R_train\.json"):
@@ -171,3 +207,54 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
             evaluate_split(tmp_path, "train", [graph], options(export))
     missing, _ = evaluate_split(export, "train", [graph], options(export))
     assert missing[0].scores["missing"].mean() == 1
+
+
+def in_steps(*sizes: int) -> Any:
+    """Put a path's viewpoints after the first into steps of so many, the last into one step."""
+
+    def nested(path: list[str]) -> list[Any]:
+        steps: list[Any] = [path[:1]]
+        at = 1
+        for size in sizes:
+            steps.append(path[at : at + size])
+            at += size
+        return [*steps, path[at:]]
+
+    return nested
+
+
+def inclusive(path: list[str]) -> list[Any]:
+    """A step is the path from the viewpoint before to the next."""
+    return [path[:1], *([a, b] for a, b in pairwise(path))]
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        in_steps(1),
+        in_steps(2),
+        in_steps(),
+        in_steps(0, 3, 0, 1),
+        inclusive,
+        lambda path: [[[v, 0.1, 0.0] for v in path]],
+        lambda path: [path],
+    ],
+    ids=["one and the rest", "two and the rest", "one jump", "empty steps", "inclusive", "with headings", "one step"],
+)
+def test_a_walk_scores_the_same_however_its_steps_are_grouped(
+    export: Path, found: tuple[list[Evaluation], list[Task]], tmp_path: Path, shape: Any
+) -> None:
+    items = json.loads((export / "r2r" / "R2R_train.json").read_text())
+    file = tmp_path / "nested.json"
+    file.write_text(json.dumps([{"instr_id": f"{i['path_id']}_0", "trajectory": shape(i["path"])} for i in items]))
+    (nested,), _ = evaluate_split(export, "train", [file], options(export))
+    flat = found[0][0]
+    for name in flat.scores:
+        np.testing.assert_array_equal(nested.scores[name], flat.scores[name], err_msg=name)
+    assert flat.scores["gaps"].sum() == 0
+
+
+def test_viewpoints_that_share_no_edge_are_counted(export: Path, tmp_path: Path) -> None:
+    ends = walks(export, tmp_path / "ends.json", lambda path: [path[0], path[-1]])
+    (jumps,), _ = evaluate_split(export, "train", [ends], options(export))
+    assert (jumps.scores["gaps"] == 1).all()

@@ -152,7 +152,9 @@ def test_the_sound_files_are_read(tmp_path: Path, document: bytes) -> None:
         ({"success": 1e300}, "success is 1e+300, outside of 0 to 1"),
         ({"spl": -0.5}, "spl is -0.5, outside of 0 to 1"),
         ({"path_length": 1e308}, "path_length is 1e+308, outside of 0 to 1e+07"),
-        ({"steps_taken": "12"}, "steps_taken is not a number"),
+        ({"steps_taken": "12"}, "steps_taken is '12', which is not a number"),
+        ({"success": 0.5}, "success is 0.5, neither 0 nor 1, so not one episode's result"),
+        ({"ne": 3.0, "distance_to_goal": 2.0}, "two keys have values of navigation_error: 2, and ne 3"),
     ],
 )
 def test_results_beyond_their_range_are_refused(tmp_path: Path, changed: dict[str, Any], what: str) -> None:

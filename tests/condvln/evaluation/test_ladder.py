@@ -16,7 +16,7 @@ from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.split import split_tasks
 from condvln.evaluation.task import Task
 from condvln.export.splits import SPLITS
-from condvln.navigation.navmesh_folder import NavmeshFolder
+from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.samples import make_samples
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SourceConfig

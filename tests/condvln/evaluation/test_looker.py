@@ -13,25 +13,19 @@ from scipy.sparse.csgraph import dijkstra
 from shapely import Polygon
 from typer.testing import CliRunner
 
-from condvln.evaluation.export_folder import Export
-from condvln.evaluation.kernels.floor_grid import chart, line_is_open, open_areas, ways
 from condvln.evaluation.looker import Looker, LookingAgent, read_text
 from condvln.evaluation.looker.approach import approach
 from condvln.evaluation.looker.exploring import Explorer, Here
-from condvln.evaluation.looker.eyes import GHOST, LOOKUP_CELL, Eyes, RoomLookup
-from condvln.evaluation.looker.floor_map import HALF, Ground
-from condvln.evaluation.looker.judging import holds
-from condvln.evaluation.looker.looker import TRIES
-from condvln.evaluation.looker.memory import GRAIN, Memory, Thing
-from condvln.evaluation.looker.referents import Referents
-from condvln.evaluation.looker.steering import HALF_TURN, PATIENT, Steering
+from condvln.evaluation.looker.eyes import GHOST, LOOKUP_CELL, Eyes, Look, RoomLookup, SeenView
+from condvln.evaluation.looker.floor_map import HALF, FloorMap, Ground, least_costs
+from condvln.evaluation.looker.memory import GRAIN, Memory, Referents, Thing, holds
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.score import score
-from condvln.evaluation.stepped_episode import heading_of
+from condvln.evaluation.split import Export
+from condvln.evaluation.walker import heading_of
 from condvln.instructions import reading_of
 from condvln.instructions.rendering import heading_name
 from condvln.instructions.text_reading import Phrase, Place
-from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP
 from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays, SceneObject
 from jobs.command import app
@@ -180,39 +174,42 @@ def test_ways_are_those_of_dijkstra() -> None:
                     start = (a, b) == (3, 4)
                     if straight or start or (np.isfinite(cost[a, q]) and np.isfinite(cost[p, b])):
                         graph[a * 17 + b, p * 17 + q] = cost[p, q] * (1 if straight else math.sqrt(2))
-        distance, before = ways(cost, 3 * 17 + 4)
+        distance, before = least_costs(cost, 3 * 17 + 4)
+        distance = distance.ravel()
         np.testing.assert_allclose(distance, dijkstra(graph, indices=3 * 17 + 4), rtol=1e-5)
         assert ((before >= 0) == (np.isfinite(distance) & (np.arange(cost.size) != 3 * 17 + 4))).all()
 
 
+def view_of(depth: np.ndarray, room: int) -> Look:
+    """A look in one direction at an angle of view of 90°, all of whose points are in one room."""
+    rays = (2 * np.arange(len(depth)) + 1 - len(depth)) / len(depth)
+    rooms = np.full(depth.shape, room, np.int16)
+    view = SeenView(depth.astype(np.float32), rooms, rays, -rays, 0.0, 1.25)
+    return Look((view,), np.zeros((0, 3)), np.zeros(0, np.int64), {}, {}, room)
+
+
 def test_a_wall_ahead_is_where_it_is() -> None:
-    """A flat wall 2 m ahead of an agent that faces along +x, in a view of 90°."""
-    n, size = 64, 80
-    rays = (2 * np.arange(n) + 1 - n) / n
-    rows = -rays
-    depth = np.full((n, n), 2.0)
+    """A flat wall 2 m ahead of an agent that faces along +x."""
+    n = 64
+    rows = -(2 * np.arange(n) + 1 - n) / n
     with np.errstate(divide="ignore"):
         floor = np.where(rows < 0, 1.25 / -rows, np.inf)
-    depth = np.minimum(depth, floor[:, None]).astype(np.float32)
-    hit, tall, clear = (np.zeros((size, size), bool) for _ in range(3))
-    near, region = np.full((size, size), np.inf, np.float32), np.full((size, size), -1, np.int16)
-    rooms = np.full((n, n), 7, np.int16)
-    chart(
-        depth, rooms, rays, rows, np.array([0.0, 0.0]), -math.pi / 2, 1.25, 0.1, 0.2, 1.0, 1.5, 10.0, hit, tall,
-        clear, near, region,
-    )  # fmt: skip
-    np.testing.assert_array_equal(tall, hit)
-    a, b = np.nonzero(hit)
-    assert (a - 40 + 0.5) * 0.1 == pytest.approx(np.full(len(a), 2.0), abs=0.11)
-    assert (b.min() - 40, b.max() - 40) == (-20, 19)
-    inside = clear & ~hit
-    a, b = np.nonzero(inside)
+    own = FloorMap()
+    own.add(view_of(np.minimum(np.full((n, n), 2.0), floor[:, None]), 7), 0.0, 0.0, -math.pi / 2, 10.0)
+    ground = own.ground(0.0, 0.0)
+    np.testing.assert_array_equal(ground.tall, ground.shut)
+    wall = ground.places(*np.nonzero(ground.shut))
+    assert wall[:, 0] == pytest.approx(np.full(len(wall), 2.05), abs=0.11)
+    assert (wall[:, 1].min(), wall[:, 1].max()) == pytest.approx((-1.95, 1.95))
+    inside = ground.places(*np.nonzero(~ground.unseen & ~ground.shut))
     # Open floor is a triangle before the wall, as wide as it is far.
-    assert (np.abs(b - 40 + 0.5) <= np.abs(a - 40 + 0.5) + 1).all()
-    assert inside[41:58, 40].all()
-    assert not line_is_open(hit, 40.0, 40.0, 75.0, 40.0, 0.0)
-    assert line_is_open(hit, 40.0, 40.0, 59.0, 40.0, 0.0)
-    assert set(region[clear & (region >= 0)].tolist()) == {7}
+    assert (np.abs(inside[:, 1]) <= np.abs(inside[:, 0]) + 0.1 + 1e-9).all()
+    middle = np.array([0.0, 0.05])
+    ahead = [ground.cell(x, middle[1]) for x in np.arange(0.15, 1.8, 0.1)]
+    assert not any(ground.unseen[cell] or ground.shut[cell] for cell in ahead)
+    assert not ground.open_between(middle, np.array([3.5, 0.05]), among=ground.shut)
+    assert ground.open_between(middle, np.array([1.9, 0.05]), among=ground.shut)
+    assert set(ground.region[~ground.unseen].tolist()) == {7}
 
 
 def floor_with_a_bed(unseen_left: bool) -> Ground:
@@ -243,7 +240,6 @@ def test_it_stops_on_the_side_where_it_comes_from() -> None:
     ground = floor_with_a_bed(unseen_left=False)
     for x in (-1.5, 1.5):
         found = approach(pillow(-0.15), ground, ground.ways_from(x, 1.5), np.array([x, 1.5]))
-        assert found is not None
         assert found.final
         assert np.sign(found.place[0]) == np.sign(x)
         # Over a low bed it sees the pillow; nothing nearer to it can be entered.
@@ -255,22 +251,18 @@ def test_it_looks_at_the_unseen_side_of_a_bed_before_it_stops() -> None:
     here = np.array([1.5, 1.5])
     ground = floor_with_a_bed(unseen_left=True)
     found = approach(thing, ground, ground.ways_from(*here), here)
-    assert found is not None
     assert not found.final
     assert found.place[0] < -0.8
     # What it has looked at in vain, or may look at no more, it takes as it is.
     for looked in ([found.place], None):
         given = approach(thing, ground, ground.ways_from(*here), here, looked=looked)
-        assert given is not None
         assert given.final
     seen = floor_with_a_bed(unseen_left=False)
     found = approach(thing, seen, seen.ways_from(*here), here)
-    assert found is not None
     assert found.final
     assert found.place[0] < -0.8
     # A place that could not be reached is not tried again.
     other = approach(thing, seen, seen.ways_from(*here), here, given_up=[found.place])
-    assert other is not None
     assert np.hypot(*(other.place - found.place)) > 0.3
 
 
@@ -283,10 +275,8 @@ def test_it_looks_for_a_nearer_place_where_the_known_one_is_barely_near_enough()
     thing = Thing(3, "pillow", 0, surface(low, low + np.array([0.3, 0.1, 0.3])), 1.0, 0)
     here = np.array([1.5, -1.0])
     found = approach(thing, ground, ground.ways_from(*here), here)
-    assert found is not None
     assert not found.final
     found = approach(thing, ground, ground.ways_from(*here), here, looked=None)
-    assert found is not None
     assert found.final
     assert found.place[0] > 0.8
 
@@ -310,21 +300,6 @@ def test_a_place_to_look_from_can_be_reached() -> None:
     assert looked_from > 10
 
 
-def test_new_rooms_come_before_what_furniture_hides_in_known_ones() -> None:
-    ground = floor_with_a_bed(unseen_left=False)
-    ground.region[:, 35:] = 1
-    ground.frontier[30:33, 15] = ground.frontier[5:8, 37] = True
-    pose = np.array([1.5, 0.0])
-    here = Here(pose, 0.0, ground, ground.ways_from(*pose))
-    sink = Phrase("sink", room=Place("kitchen"))
-    for been, known in ((set(), True), ({0}, False)):
-        explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
-        explorer.been |= been
-        place = explorer.unseen(sink, here)
-        assert place is not None
-        assert (place[1] < 1.0) == known
-
-
 def test_it_goes_nearer_to_a_thing_that_it_sees_from_afar() -> None:
     ground, here = two_ways_on()
     sink = Phrase("sink")
@@ -332,13 +307,11 @@ def test_it_goes_nearer_to_a_thing_that_it_sees_from_afar() -> None:
     assert approach(far, ground, here.ways, here.place) is None
     explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
     place = explorer.nearer(far, sink, here)
-    assert place is not None
     np.testing.assert_allclose(place, [1.45, 0.0], atol=0.06)
     there = Here(place, 0.0, ground, ground.ways_from(*place.tolist()))
     # There, only what it has not seen yet can help; and it goes there only once.
     for pose in (there, here):
         onward = explorer.nearer(far, sink, pose)
-        assert onward is not None
         assert ground.frontier[ground.cell(*onward.tolist())]
         explorer.give_up(place)
     ground.frontier[:] = ground.unseen[:] = False
@@ -358,7 +331,6 @@ def test_it_goes_round_to_the_room_of_a_thing_that_it_sees_but_can_not_come_near
     memory.rooms.update({0: "living room", 1: "kitchen"})
     explorer = Explorer(Referents(memory, None, 3.0), 3.0)
     place = explorer.nearer(sink, Phrase("sink", room=Place("kitchen")), here)
-    assert place is not None
     np.testing.assert_allclose(place[0], -1.65, atol=0.06)  # not to the wall, which is nearer to the sink
 
 
@@ -378,24 +350,7 @@ def test_it_does_not_stop_behind_the_wall_on_which_a_thing_hangs() -> None:
     assert approach(painting, ground, ground.ways_from(*behind), behind) is None
     before = np.array([-1.0, -0.15])
     found = approach(painting, ground, ground.ways_from(*before), before)
-    assert found is not None
     assert found.place[0] < 0
-
-
-def test_unseen_floor_counts_up_to_the_first_obstacle() -> None:
-    size, radius = 61, 20
-    wanted, shut = np.ones((size, size), bool), np.zeros((size, size), bool)
-    middle = np.array([30])
-    disc = math.pi * radius * (radius + 1)  # rings of one cell, each as long as its circle
-    assert open_areas(wanted, shut, middle, middle, radius, 32)[0] == pytest.approx(disc)
-    shut[40] = True
-    behind = open_areas(wanted, shut, middle, middle, radius, 512)[0]
-    segment = radius**2 * math.acos(10 / radius) - 10 * math.sqrt(radius**2 - 100)
-    assert behind == pytest.approx(math.pi * radius**2 - segment, rel=0.06)
-    shut[30 - 1 : 30 + 2, 30 - 1 : 30 + 2] = True
-    shut[30, 30] = False
-    assert open_areas(wanted, shut, middle, middle, radius, 32)[0] == 0.0
-    np.testing.assert_array_equal(open_areas(~wanted, np.zeros_like(shut), middle, middle, radius, 32), 0.0)
 
 
 def two_ways_on() -> tuple[Ground, Here]:
@@ -412,52 +367,6 @@ def two_ways_on() -> tuple[Ground, Here]:
     ground.region[:20], ground.region[20:] = 0, 1
     pose = np.array([0.0, 0.0])
     return ground, Here(pose, 0.0, ground, ground.ways_from(*pose))
-
-
-def test_more_unseen_floor_is_worth_a_detour() -> None:
-    sink = Phrase("sink", room=Place("kitchen"))
-    ground, here = two_ways_on()
-    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(sink, here)
-    assert place is not None
-    assert place[0] > 1.0
-    # A wall hides most of what is unseen on the right.
-    ground, here = two_ways_on()
-    ground.shut[36] = True
-    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(sink, here)
-    assert place is not None
-    assert place[0] < -1.0
-
-
-def test_a_little_unseen_floor_nearby_does_not_keep_it_from_another_room() -> None:
-    """0.4 m² are unseen 0.4 m to the right, and much more 2.9 m to the left."""
-    ground, _ = two_ways_on()
-    ground.unseen[:5] = True
-    ground.unseen[35:39] = False
-    ground.passable[:] = ~ground.unseen
-    ground.cost[:] = np.where(ground.unseen, np.inf, 1.0)
-    ground.frontier[:] = False
-    ground.frontier[5] = ground.frontier[38] = True
-    pose = np.array([1.45, 0.0])
-    here = Here(pose, 0.0, ground, ground.ways_from(*pose))
-    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(Phrase("sink", room=Place("kitchen")), here)
-    assert place is not None
-    assert place[0] < -1.0
-    # Where nothing else is left, it goes there.
-    ground.frontier[5] = False
-    place = Explorer(Referents(Memory(), None, 3.0), 3.0).unseen(Phrase("sink", room=Place("kitchen")), here)
-    assert place is not None
-    assert place[0] > 1.5
-
-
-def test_it_goes_through_a_narrow_gap_where_nothing_else_is_left() -> None:
-    ground, here = two_ways_on()
-    ground.frontier[:] = False  # no gap is wide
-    explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
-    place = explorer.unseen(Phrase("sink", room=Place("kitchen")), here)
-    assert place is not None
-    assert ground.unseen[ground.cell(*(place * 1.1).tolist())]
-    # In a room that it has found, what a gap hides does not count.
-    assert explorer.unseen(Phrase("sink"), here) is None
 
 
 def test_floor_beside_a_wall_is_not_taken_for_that_of_the_room_behind(
@@ -487,136 +396,13 @@ def test_floor_beside_a_wall_is_not_taken_for_that_of_the_room_behind(
 
 
 def test_what_is_known_of_a_cell_s_room_stays_where_a_view_does_not_tell() -> None:
-    depth = np.full((8, 8), 1.5, np.float32)
-    rays = (2 * np.arange(8) + 1 - 8) / 8
-    masks = [np.zeros((60, 60), bool) for _ in range(3)]
-    near, region = np.full((60, 60), np.inf, np.float32), np.full((60, 60), 3, np.int16)
-    for number in (-1, 5):
-        rooms = np.full((8, 8), number, np.int16)
-        chart(
-            depth, rooms, rays, -rays, np.zeros(2), 0.0, 1.25, 0.1, 0.2, 1.0, 1.5, 10.0, masks[0], masks[1],
-            masks[2], near, region,
-        )  # fmt: skip
-        assert set(region.ravel().tolist()) == ({3} if number < 0 else {3, 5})
-
-
-def test_shared_rooms_are_not_looked_for_by_way_of_bedrooms() -> None:
-    for wanted, left in (("kitchen", True), ("bathroom", False)):
-        _, here = two_ways_on()
-        memory = Memory()
-        memory.rooms.update({0: "living room", 1: "bedroom"})
-        place = Explorer(Referents(memory, None, 3.0), 3.0).unseen(Phrase("sink", room=Place(wanted)), here)
-        assert place is not None
-        assert (place[0] < 0) == left
-
-
-def test_it_goes_on_where_its_target_is_a_little_aside_and_the_floor_ahead_is_free() -> None:
-    ground, here = two_ways_on()
-    aim = np.array([0.3, -1.6])
-    for degrees, free, expected in (
-        (0.0, True, FORWARD),
-        (4.0, True, FORWARD),
-        (6.0, True, RIGHT),
-        (0.0, False, RIGHT),
-    ):
-        ground.cost[18:22, 14:16] = 1.0 if free else 6.0
-        steering = Steering()
-        action = steering.action(aim, here.place, math.radians(degrees), ground, here.ways, 0)
-        assert action == expected, degrees
-
-
-def test_it_gives_up_stops_that_something_it_does_not_see_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It goes to a pillow on a bed, knows all floor around the bed, and each of its forward steps collides."""
-    text = "If there's a chair in the bedroom, go to the desk. If not, go to the pillow."
-    looker = Looker(text, 500, LookerConfig())
-    looker.verdicts[0] = False
-    ground = floor_with_a_bed(unseen_left=False)
-    place, heading, bumped, action = np.array([1.5, 0.0, 0.0]), 0.0, False, FORWARD
-    flat = looker._last = looker._looked = place[[0, 2]]
-    monkeypatch.setattr(looker, "_found", lambda move: (pillow(-0.15), None))
-    monkeypatch.setattr(looker, "_here", lambda: Here(flat, heading, ground, ground.ways_from(*flat)))
-    given_up = set()
-    for _ in range(500):
-        action = looker.act(place, heading, lambda: pytest.fail("it has not moved"), bumped)
-        if action == STOP:
-            break
-        bumped = action == FORWARD
-        heading += 2 * HALF_TURN * ((action == LEFT) - (action == RIGHT))
-        given_up |= {tuple(spot.tolist()) for spot in looker._not_reached}
-    assert action == STOP
-    # It tries each of the places for so long, and then stops where it is.
-    assert len(given_up) == TRIES
-    assert looker._step <= (TRIES + 1) * (PATIENT + 2)
-
-
-def test_its_last_step_is_a_stop_where_its_last_place_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is on the way to the first or second of two stops, and has the budget's last step or the one before."""
-    text = "If there's a chair in the bedroom, go to the desk. If not, go to the lamp, then to the pillow."
-    ground = floor_with_a_bed(unseen_left=False)
-
-    def action(away: float, step: int, done: int = 1) -> int:
-        looker = Looker(text, 500, LookerConfig())
-        looker.verdicts[0] = False
-        looker._step, looker._moves_done = step, done
-        place = np.array([0.85, 0.0, -1.6 + away])
-        flat = looker._last = looker._looked = place[[0, 2]]
-        monkeypatch.setattr(looker, "_found", lambda move: (pillow(-0.15), None))
-        monkeypatch.setattr(looker, "_here", lambda: Here(flat, 0.0, ground, ground.ways_from(*flat)))
-        return looker.act(place, 0.0, lambda: pytest.fail("it has not moved"), False)
-
-    assert action(0.8, 499) == STOP
-    assert action(0.8, 498) != STOP
-    assert action(0.8, 499, done=0) != STOP
-    assert action(2.5, 499) != STOP
-
-
-def test_a_target_that_is_only_moved_does_not_count_as_progress() -> None:
-    ground, here = two_ways_on()
-    left, right = np.array([-1.5, 0.3]), np.array([1.3, 0.3])
-
-    def steps(goals: list[object]) -> int:
-        """Count the steps of an agent that stands still while its target is moved to and fro."""
-        steering = Steering()
-        for step, goal in enumerate(goals):
-            steering.begin(step, goal)
-            if steering.action((left, right)[step % 2], here.place, 0.0, ground, here.ways, step) is None:
-                return step
-        return len(goals)
-
-    assert steps(["pillow"] * 100) == PATIENT + 2
-    assert steps([None] * 100) == 100
-    # Another goal gets its own time.
-    assert steps(["pillow"] * 20 + ["desk"] * 80) == 20 + PATIENT + 2
-
-
-def test_a_way_that_turns_out_longer_gets_its_own_time() -> None:
-    ground, here = two_ways_on()
-    near, far = np.array([0.5, 0.0]), np.array([1.3, 0.0])
-    steering = Steering()
-    for step in range(60):
-        steering.begin(step, "pillow")
-        aim = near if step < 20 else far
-        if steering.action(aim, here.place, 0.0, ground, here.ways, step) is None:
-            break
-    assert step == 20 + PATIENT + 1
-
-
-def test_it_answers_in_time_for_the_walk_that_is_left(made: tuple[Export, Path]) -> None:
-    task = next(task for task in made[0].tasks("train") if task.axes["category"] == "simple")
-    moves = max(len(leaf) for leaf in read_text(task.text).leaves)
-    looker = Looker(task.text, 500, LookerConfig())
-    # Nothing is known yet: every stop must be looked for.
-    far = looker._reserve(0)
-    assert moves * 20 < far <= 0.3 * 500
-    assert Looker(task.text, 100, LookerConfig())._reserve(0) == pytest.approx(min(far, 30.0))
-    assert Looker(task.text, 500, LookerConfig(patience=1.0))._reserve(0) == 0.0
-    # What is known beside the agent takes fewer steps.
-    for number, move in enumerate(move for leaf in looker.reading.leaves for move in leaf):
-        room = 0 if move.room is None else number
-        looker.memory.rooms[room] = "" if move.room is None else move.room.label
-        box = surface(np.array([0.2, 0, 0.2]), np.array([0.4, 0.2, 0.4]))
-        looker.memory._things[number] = Thing(number, move.label, room, box, 1.0, 0)
-    assert looker._reserve(0) < far
+    axis = np.arange(-2.95, 3.0, 0.1)
+    floor = np.stack([grid.ravel() for grid in np.meshgrid(axis, axis)], axis=1)
+    own = FloorMap()
+    own.reveal(floor, np.full(len(floor), 3, np.int16))
+    for room, known in ((-1, {3}), (5, {3, 5})):
+        own.add(view_of(np.full((8, 8), 1.5), room), 0.0, 0.0, 0.0, 10.0)
+        assert set(own.ground(0.0, 0.0).region.ravel().tolist()) - {-1} == known
 
 
 def test_it_guesses_nothing_about_a_room_that_it_has_not_found(made: tuple[Export, Path], views: SceneViews) -> None:
@@ -633,57 +419,6 @@ def test_it_guesses_nothing_about_a_room_that_it_has_not_found(made: tuple[Expor
     looker = Looker(task.text, 500, LookerConfig(patience=0.0))
     looker.act(np.zeros(3), 0.0, lambda: look, False)
     assert not looker.verdicts
-
-
-def test_it_looks_again_from_nearer_for_a_thing_that_the_text_takes_for_granted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The whole floor of the bedroom was seen from 2 m. On the bed it has seen a phone from afar, or nothing."""
-    ground = floor_with_a_bed(unseen_left=False)
-    ground.near[ground.passable] = 2.0
-    flat = np.array([1.5, 1.5])
-    bed = Thing(1, "bed", 0, surface(np.array([-2.0, 0, -0.8]), np.array([0.0, 0.5, 0.8])), 1.0, 0)
-
-    def answer(condition: str, *things: Thing, step: int = 0) -> tuple[bool | None, bool]:
-        """Return the first answer to a condition, and whether the agent goes somewhere to see more."""
-        looker = Looker(f"{condition}, go to the desk. If not, go to the pillow.", 500, LookerConfig())
-        monkeypatch.setattr(looker, "_here", lambda: Here(flat, 0.0, ground, ground.ways_from(*flat)))
-        looker._explorer.been.add(0)
-        looker.memory.rooms[0] = "bedroom"
-        looker.memory._things.update({thing.number: thing for thing in things})
-        looker._step = step
-        return looker._verdict(0), looker._aim is not None
-
-    definite = "If the cell phone in the bedroom is on the bed"
-    indefinite = "If there's a cell phone on the bed in the bedroom"
-    phone = surface(np.array([1.0, 0.5, 1.0]), np.array([1.2, 0.6, 1.2]))
-    far, near = (Thing(2, "cell phone", 0, phone, away, 0) for away in (3.3, 2.9))
-    assert answer(definite, bed) == (None, True)
-    assert answer(definite, bed, far) == (None, True)
-    assert answer(definite, near) == (None, True)
-    assert answer(definite, bed, near) == (False, False)
-    assert answer(definite, bed, step=499) == (False, False)
-    # There may be no phone at all.
-    assert answer(indefinite, bed) == (False, False)
-    # What is not seen from half the distance either is not looked for any more.
-    ground.near[ground.passable] = 1.0
-    assert answer(definite, bed) == (False, False)
-
-
-def test_only_floor_around_the_anchor_is_explored_for_a_closer_thing() -> None:
-    ground = floor_with_a_bed(unseen_left=False)
-    rows, columns = np.nonzero(ground.passable)
-    left = ground.places(rows, columns)[:, 0] < -1.0
-    ground.near[rows[left], columns[left]] = 5.0  # seen from too far away
-    pose = np.array([1.5, 1.5])
-    here = Here(pose, 0.0, ground, ground.ways_from(1.5, 1.5))
-    explorer = Explorer(Referents(Memory(), None, 3.0), 3.0)
-    painting = Phrase("painting")
-    for around, found in ((None, True), ((np.array([-1.5, 1.5]), 1.0), True), ((np.array([1.5, 1.5]), 1.0), False)):
-        place = explorer.unseen(painting, here, around=around)
-        assert (place is not None) == found
-        if place is not None:
-            assert place[0] < -1.0
 
 
 def test_the_command_walks_it_with_errors_and_refuses_what_it_cannot_read(

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from condvln.evaluation.kernels.alignment import dtw, dtw_of_costs
-from condvln.evaluation.measures import cls, ndtw, path_length, spl, without_repeats
+from condvln.evaluation.measures import cls, dtw, dtw_of_costs, ndtw, path_length, spl, without_repeats
 from tests.condvln.evaluation import plain
 
 # Whole and half metres too, so that repeats and ties are common.
@@ -43,16 +42,9 @@ def test_equal_the_plain_definitions(path: np.ndarray, reference: np.ndarray, ta
 
 @pytest.mark.soak
 @given(paths, paths, st.sampled_from([0.5, 1.0, 3.0]))
-@settings(max_examples=10_000)
+@settings(max_examples=2_000)
 def test_equal_the_plain_definitions_at_length(path: np.ndarray, reference: np.ndarray, tau: float) -> None:
     check_all(path, reference, tau)
-
-
-def check_fast(path: np.ndarray, reference: np.ndarray) -> None:
-    theirs = fastdtw(without_repeats(path), reference, dist=lambda a, b: float(np.linalg.norm(a - b)))[0]
-    ours = ndtw(path, reference, fast=True)
-    assert ours == pytest.approx(math.exp(-theirs / (len(reference) * 3.0)), rel=1e-9)
-    assert ours <= ndtw(path, reference) * (1 + 1e-12)
 
 
 long_paths = st.integers(1, 60).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=coordinate))
@@ -61,15 +53,11 @@ long_paths = st.integers(1, 60).flatmap(lambda n: hnp.arrays(np.float64, (n, 3),
 @pytest.mark.costly
 @given(long_paths, long_paths)
 @settings(max_examples=60)
-def test_fast_mode_equals_the_package_that_vlnce_uses(path: np.ndarray, reference: np.ndarray) -> None:
-    check_fast(path, reference)
-
-
-@pytest.mark.soak
-@given(long_paths, long_paths)
-@settings(max_examples=3_000)
-def test_fast_mode_equals_the_package_at_length(path: np.ndarray, reference: np.ndarray) -> None:
-    check_fast(path, reference)
+def test_fast_mode_is_as_vlnce_calls_the_package(path: np.ndarray, reference: np.ndarray) -> None:
+    theirs = fastdtw(without_repeats(path), reference, dist=lambda a, b: float(np.linalg.norm(a - b)))[0]
+    ours = ndtw(path, reference, fast=True)
+    assert ours == pytest.approx(math.exp(-theirs / (len(reference) * 3.0)), rel=1e-9)
+    assert ours <= ndtw(path, reference) * (1 + 1e-12)
 
 
 @given(paths, paths)
@@ -124,10 +112,10 @@ def test_spl_has_no_undefined_corner(success: bool, shortest: float, walked: flo
     assert spl(success, shortest, walked) == value
 
 
-def test_a_million_steps() -> None:
-    path = np.zeros((1_000_000, 3))
-    path[:, 0] = np.arange(1_000_000) % 7
+def test_a_hundred_thousand_steps() -> None:
+    path = np.zeros((100_000, 3))
+    path[:, 0] = np.arange(100_000) % 7
     reference = np.zeros((20, 3))
-    # Each of the 20 points meets at least one of the million, and the million average 3 m from it.
+    # Each of the 20 points meets at least one of the steps, and the steps average 3 m from it.
     assert ndtw(path, reference) == pytest.approx(0.0, abs=1e-300)
-    assert ndtw(np.zeros((1_000_000, 3)), reference) == 1.0
+    assert ndtw(np.zeros((100_000, 3)), reference) == 1.0

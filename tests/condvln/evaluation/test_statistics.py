@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.evaluation import statistics
-from condvln.evaluation.statistics import estimate, paired_test
+from condvln.evaluation.aggregate import estimate, paired_test
 
 
 def test_mean_counts_and_exclusions() -> None:
@@ -97,15 +96,3 @@ def test_undefined_pairs_are_left_out() -> None:
     found = paired_test(np.array([1, np.nan, 0.0]), np.array([0, 1, np.nan]), ["a", "b", "c"])
     assert (found.n, found.scenes, found.difference) == (1, 1, 1)
     assert paired_test(np.array([np.nan]), np.array([1.0]), ["a"]).n == 0
-
-
-def test_draws_that_are_kept_are_those_that_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    values, scenes = np.random.default_rng(0).normal(size=60), np.arange(60) % 7
-    kept = [estimate(values, scenes, seed=seed, replicates=500) for seed in (0, 1, 0)]
-    assert kept[0] == kept[2] != kept[1]
-    monkeypatch.setattr(statistics, "_KEPT_SCENES", 0)
-    assert [estimate(values, scenes, seed=seed, replicates=500) for seed in (0, 1, 0)] == kept
-    counts = statistics._drawn(0, 7, 500)
-    assert (counts.sum(axis=1) == 7).all()
-    with pytest.raises(ValueError, match="read-only"):
-        counts[0] = 0.0

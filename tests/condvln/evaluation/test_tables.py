@@ -63,12 +63,15 @@ def test_everything_is_there(tables: list[Table]) -> None:
 def test_main_table_says_what_the_scores_say(evaluations: list[Evaluation]) -> None:
     table = main_table(evaluations)
     headings = [column.heading for column in table.columns]
-    assert headings[:6] == ["source", "agent", "TL", "NE", "OSR", "SR"]
+    first = ["SR", "SPL-look", "nDTW-look", "BSA-all", "CSR-all", "justified"]
+    shown = [heading for heading in first if heading not in ("SPL-look", "nDTW-look", "justified")]
+    assert headings[: 2 + len(shown)] == ["source", "agent", *shown], "no task here has a looking path"
+    assert [column.heading for column in MAIN_COLUMNS[:6]] == first
     row = table.rows[1]
     scores = evaluations[1].scores
     assert row[headings.index("SR")].value == scores["success"].mean()
     assert row[headings.index("n")].value == 120
-    assert headings[-5:-1] == ["BSA-all", "CSR-all", "BSA (paper)", "CSR (paper)"], "the honest ones come first"
+    assert headings[-3:-1] == ["BSA (paper)", "CSR (paper)"], "the honest ones come first"
     bsa = row[headings.index("BSA (paper)")]
     assert (bsa.n, bsa.total) == (int((scores["bsa"] == scores["bsa"]).sum()), 120)
     assert [cell.value for cell in main_table(evaluations).rows[0]] == [cell.value for cell in table.rows[0]]
@@ -148,12 +151,14 @@ def test_terminal_shows_every_row(tables: list[Table]) -> None:
 
 
 def test_a_pipe_is_wide_enough_for_the_main_table() -> None:
-    """Thirteen measures with intervals, and how many episodes they are over, without a number broken."""
+    """All measures with intervals, and how many episodes they are over, without a number broken."""
     row = (
         Cell("replicacad"),
         Cell("random-leaf"),
-        *(Cell(v, v - 3.0, v + 3.0, 500, 1000) for v in (11.73, 8.32)),
-        *(Cell(1.0, 1.0, 1.0, 500, 1000) for _ in MAIN_COLUMNS[2:]),
+        *(
+            Cell(11.73, 8.73, 14.73, 500, 1000) if column.kind == "metres" else Cell(1.0, 1.0, 1.0, 500, 1000)
+            for column in MAIN_COLUMNS
+        ),
         Cell(12345),
     )
     columns = (
@@ -163,9 +168,10 @@ def test_a_pipe_is_wide_enough_for_the_main_table() -> None:
     out = io.StringIO()
     Console(file=out, width=PIPE_WIDTH).print(as_rich(Table("main", "Main results", columns, (row,))))
     values, intervals, counts = (line.split() for line in out.getvalue().splitlines()[-4:-1])
-    assert values == ["replicacad", "random-leaf", "11.73", "8.32", *["100.0"] * 11, "12345"]
-    assert intervals == ["8.7–14.7", "5.3–11.3", *["100–100"] * 11]
-    assert counts == ["(500)"] * 13
+    lengths = [column.kind == "metres" for column in MAIN_COLUMNS]
+    assert values == ["replicacad", "random-leaf", *("11.73" if one else "100.0" for one in lengths), "12345"]
+    assert intervals == ["8.7–14.7" if one else "100–100" for one in lengths]
+    assert counts == ["(500)"] * len(lengths)
 
 
 def test_markdown_is_a_table(tables: list[Table]) -> None:

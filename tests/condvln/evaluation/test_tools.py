@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import json
+import shutil
 import threading
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -16,12 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from condvln.evaluation import tools as module
 from condvln.evaluation.agents import agent_named
-from condvln.evaluation.export_folder import Export
+from condvln.evaluation.environment import tools as module
+from condvln.evaluation.environment.tools import EpisodeTools, tools_for
 from condvln.evaluation.predictions import read_predictions
 from condvln.evaluation.score import score
-from condvln.evaluation.tools import EpisodeTools, tools_for
+from condvln.evaluation.split import Export
 from condvln.sensors import TextSensor
 from schemas.errors import UsageError
 
@@ -59,7 +60,6 @@ def test_every_step_is_counted_and_scored_as_evaluate_does(
     episode.turn(45)
     assert episode.steps_left == task.max_steps - 5
     heading = episode.prediction.headings
-    assert heading is not None
     assert np.degrees(heading[5] - heading[0] + np.pi) % 360 - 180 == pytest.approx(-15)
     assert not episode.done
     assert episode.score == {}
@@ -130,6 +130,7 @@ def test_no_truth_is_told(made: tuple[Export, Path], monkeypatch: pytest.MonkeyP
         "gold_leaf": (task.gold_leaf + 1) % task.n_leaves,
         "leaves": moved,
         "reference": task.reference[::-1],
+        "looking": None,
         "success_distance": 9.0,
         "navmesh_sha256": task.navmesh_sha256,
     }
@@ -198,8 +199,6 @@ def endpoint() -> Iterator[str]:
 
 def example(repository: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location("chat_agent", repository / "examples" / "chat_agent.py")
-    assert spec is not None
-    assert spec.loader is not None
     found = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(found)
     return found
@@ -222,3 +221,37 @@ def test_the_example_follows_a_model_behind_an_endpoint(
     assert "multiple of 15" in answers[1]
     assert "Steps left" in answers[2]
     assert Stub.asked[4]["messages"][-1] == {"role": "user", "content": "Use a tool."}
+
+
+def test_the_example_walks_the_families_that_are_named(
+    made: tuple[Export, Path],
+    endpoint: str,
+    repository: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Every second episode is of a family without a dataset."""
+    shutil.copytree(made[0].folder, tmp_path / "mixed")
+    manifest = tmp_path / "mixed" / "manifest" / "train.jsonl"
+    rows = [json.loads(line) for line in manifest.read_text().splitlines()]
+    for row in rows[::2]:
+        row["source"] = "procthor"
+    manifest.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    out = tmp_path / "model.json"
+    datasets = [f"gibson={tmp_path}", f"replicacad={made[1]}"]
+    monkeypatch.setattr(
+        "sys.argv", ["chat_agent.py", str(tmp_path / "mixed"), "train", *datasets, endpoint, "m", str(out)]
+    )
+    example(repository).main()
+    assert [one.episode_id for one in read_predictions(out)] == [str(row["episode_id"]) for row in rows[1::2]]
+    assert f"{len(rows[::2])} episodes of procthor are left out" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["e", "s", "http://x", "m", "out"], ["e", "s", "replicacad", "http://x", "m", "o"]]
+)
+def test_the_example_says_how_it_is_called(repository: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["chat_agent.py", *words])
+    with pytest.raises(SystemExit, match="FAMILY=FOLDER"):
+        example(repository).main()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from condvln.export.rows import rows_of
+from condvln.export.tables import rows_of
 from condvln.manifest import manifest_row
 from tests.made_snapshot import made_snapshot
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.explorer.chunks import chunk_bytes, chunk_content
+from condvln.explorer.site import chunk_bytes, chunk_content
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]))
 PLAIN = (

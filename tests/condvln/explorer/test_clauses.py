@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.explorer.clauses import LANGUAGES, _expanded, clauses
+from condvln.explorer.episode import LANGUAGES, _expanded, clauses
 from condvln.instructions.language import language
 from condvln.instructions.rendering import render
 from schemas.program import CATEGORIES, SHAPES, Category, Condition, Leaf, ObjectRef, Program, RoomRef

@@ -6,19 +6,20 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.explorer.measures import Criterion, RoomMeasures, bearing_criteria, decided
+from condvln.explorer.evidence import rule_of
+from condvln.explorer.measures import Criterion, RoomMeasures, bearing_criteria, decided, said_of
 from condvln.relations import relate_room, text_facts
-from condvln.relations.bearing import bearing_status, sighted
-from condvln.relations.compass import COMPASS
+from condvln.relations.directions import COMPASS, bearing_status, sighted
 from condvln.scene import RoomArrays, SceneObject, round_mm
 from schemas.config import Thresholds
-from schemas.program import BEARINGS
+from schemas.program import BEARINGS, QUALIFIER_ONLY, Anchor, Predicate, Qualifier, anchors_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "relations"))
 from layered_rooms import layered_room
@@ -165,6 +166,26 @@ def test_each_bearing_of_text_has_a_margin(
     if status:
         found = decided(direction, [bearing_criteria(direction, start, heading, box, T)], status == 1)
         assert found["margin"] is not None
+
+
+@pytest.mark.parametrize("predicate", sorted({*get_args(Predicate)} - {*QUALIFIER_ONLY}))
+def test_each_predicate_of_a_condition_has_a_rule_and_a_measure(predicate: Predicate) -> None:
+    objects = [
+        thing("one", (0, 0, 0), (1, 1, 1)),
+        thing("two", (2, 0, 0), (3, 1, 1)),
+        thing("three", (4, 0, 0), (5, 1, 1)),
+    ]
+    anchors = tuple(Anchor(object_id=one.object_id, label="x") for one in objects[1 : 1 + anchors_of(predicate)])
+    rule = rule_of(Qualifier(predicate=predicate, anchors=anchors), T)
+    assert not re.search(r"[{}]", rule)
+    if predicate in BEARINGS or predicate in COMPASS:
+        assert f" of {predicate.removesuffix(' of')} " in rule
+    if predicate in BEARINGS:
+        pairs = [bearing_criteria(predicate, np.zeros(3), 0.0, np.asarray(objects[1].box), T)]
+    else:
+        pairs = measured(predicate, *objects[: 1 + anchors_of(predicate)])
+    assert decided(predicate, pairs, True)["criteria"]
+    assert {name for name in get_args(Predicate) if said_of(name)["rule"]} == {*get_args(Predicate)} - {*QUALIFIER_ONLY}
 
 
 def test_without_criteria_nothing_is_said() -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from condvln.episodes.rules import REASONS as PLACING
+from condvln.episodes.candidates import REASONS as PLACING
 from condvln.explorer.rejected import CLASHES, clash_examples, program_example, rule_text
-from condvln.instructions.degeneracy import REASONS as RULES
-from condvln.instructions.rejection import REASONS as DRAWING
+from condvln.instructions.degeneracy import REASONS as DRAWING
+from condvln.instructions.degeneracy import RULES
 from schemas.program import Branch, Condition, Leaf, ObjectRef, Program, RoomRef
 
 KITCHEN, BEDROOM = RoomRef(room_id="k", label="kitchen"), RoomRef(room_id="b", label="bedroom")

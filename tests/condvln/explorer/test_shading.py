@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from condvln.explorer.shading import UNSEEN, _light, shaded
+from condvln.explorer.views import UNSEEN, _light, shaded
 from condvln.sensors.renderer import Frame
 
 

@@ -9,9 +9,7 @@ from typing import Any
 import pytest
 
 from condvln.explorer import Site, episode_document
-from condvln.explorer.chunks import chunk_content
-from condvln.explorer.columns import NAMED
-from condvln.explorer.site import EPISODES_A_CHUNK, PARTS
+from condvln.explorer.site import EPISODES_A_CHUNK, NAMED, PARTS, chunk_content
 from schemas.errors import UsageError
 from tests.condvln.explorer.made_rows import made_manifest, no_rooms
 

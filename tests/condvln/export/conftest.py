@@ -26,5 +26,5 @@ def tables() -> MemoryTables:
 def exported(tables: MemoryTables, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of an export with all variants."""
     out = tmp_path_factory.mktemp("export")
-    export_snapshot(tables, out, oracle_texts=linear_text)
+    export_snapshot(tables, out, oracle_text=linear_text)
     return out

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.export.axes import observability_class, route_class, words_class
+from condvln.export.splits import observability_class, route_class, words_class
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import shutil
-import struct
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,25 +12,26 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from condvln.export.compose import ComposedScene, compose_scene
-from condvln.export.compose.writer import GlbWriter
+from condvln.export.compose import ComposedScene, GlbWriter, compose_scene
 from condvln.formats.glb import glb_chunks, read_glb
 from condvln.formats.glb_part import GlbPart, read_part
+from condvln.formats.gltf_tree import packed_glb
 from condvln.formats.triangles import Z_UP, glb_triangles
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
 from condvln.samples.maker import make_layouts, make_samples, write_replicacad
 from condvln.scene import Scene
-from condvln.scene.geometry import SceneGeometry
+from condvln.scene.scene import SceneGeometry
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
 from schemas.config import AgentConfig
-from schemas.errors import FormatError, InputError
+from schemas.errors import FormatError
+from tests.broken_bytes import broken
 
 F64 = NDArray[np.float64]
 Tree = dict[str, Any]
@@ -46,15 +46,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def first(source: Source) -> tuple[Scene, SceneGeometry]:
+def composed(source: Source) -> tuple[Scene, SceneGeometry, ComposedScene]:
     scene = source.read(source.handles()[0].scene_id)
     geometry = source.geometry(scene)
     assert geometry is not None
-    return scene, geometry
-
-
-def composed(source: Source) -> tuple[Scene, SceneGeometry, ComposedScene]:
-    scene, geometry = first(source)
     return scene, geometry, compose_scene(scene, geometry, AgentConfig())
 
 
@@ -125,7 +120,6 @@ def test_the_navmesh_leads_as_the_shipped_one_does(made: Path) -> None:
     for handle in source.handles():
         scene = with_shipped_navmesh(source.read(handle.scene_id), AgentConfig())
         whole = compose_scene(scene, source.geometry(scene), AgentConfig())
-        assert scene.navmesh is not None
         assert scene.navmesh.fits
         shipped, ours = Pathfinder.load(scene.root / scene.navmesh.path), Pathfinder(whole.navmesh)
         assert ours.settings == shipped.settings
@@ -152,7 +146,6 @@ def test_real_furniture_stands_where_the_shipped_navmesh_goes_around_it(real_dat
     for handle in source.handles():
         scene = with_shipped_navmesh(source.read(handle.scene_id), AgentConfig())
         whole = compose_scene(scene, source.geometry(scene), AgentConfig())
-        assert scene.navmesh is not None
         shipped, ours = Pathfinder.load(root / scene.navmesh.path), Pathfinder(whole.navmesh)
         main = max(range(shipped.num_islands), key=shipped.island_area)
         points = shipped.get_random_navigable_points(2000, np.random.default_rng(0), main)
@@ -165,45 +158,26 @@ def test_real_furniture_stands_where_the_shipped_navmesh_goes_around_it(real_dat
                 assert not ours.is_navigable([item.center[0], 0.1, item.center[2]], 0.2), item.object_id
 
 
-@pytest.mark.parametrize("family", ["procthor", "ithor"])
-def test_drawn_scenes_have_the_navmesh_of_their_episodes(made: Path, family: str) -> None:
-    """Byte for byte that which was built for the scene, so that distances hold in the simulator."""
-    scene, geometry, whole = composed(open_source(family, made / family))
-    assert with_built_navmesh(scene, geometry, AgentConfig())[1] == whole.navmesh.to_bytes()
-
-
 @pytest.mark.parametrize(
-    ("family", "scenes"),
-    [("ithor", ("*",)), ("procthor", ("houses60-0", "houses60-16", "houses60-33", "houses60-49"))],
+    ("root", "family", "scenes"),
+    [
+        ("made", "procthor", ("*",)),
+        ("made", "ithor", ("*",)),
+        ("real_data", "procthor", ("houses60-0", "houses60-16", "houses60-33", "houses60-49")),
+        ("real_data", "ithor", ("*",)),
+    ],
 )
-def test_real_scenes_have_the_navmesh_of_their_episodes(real_data: Path, family: str, scenes: tuple[str, ...]) -> None:
-    source = open_source(family, real_data / family, scenes=scenes)
+def test_drawn_scenes_have_the_navmesh_of_their_episodes(
+    request: pytest.FixtureRequest, root: str, family: str, scenes: tuple[str, ...]
+) -> None:
+    """Byte for byte that which was built for the scene, so that distances hold in the simulator."""
+    source = open_source(family, request.getfixturevalue(root) / family, scenes=scenes)
     for handle in source.handles():
         scene = with_shipped_navmesh(source.read(handle.scene_id), AgentConfig())
         geometry = source.geometry(scene)
         assert geometry is not None
         whole = compose_scene(scene, geometry, AgentConfig())
         assert with_built_navmesh(scene, geometry, AgentConfig())[1] == whole.navmesh.to_bytes()
-
-
-def test_the_navmesh_is_the_agents(made: Path) -> None:
-    scene, geometry = first(open_source("procthor", made / "procthor"))
-    wide = compose_scene(scene, geometry, AgentConfig(radius=0.3, height=1.0))
-    assert (wide.navmesh.known_settings.agent_radius, wide.navmesh.known_settings.agent_height) == (
-        pytest.approx(0.3),
-        pytest.approx(1.0),
-    )
-    narrow = compose_scene(scene, geometry, AgentConfig())
-    assert wide.glb == narrow.glb
-    assert Pathfinder(wide.navmesh).navigable_area < Pathfinder(narrow.navmesh).navigable_area
-
-
-def test_without_surfaces_there_is_nothing_to_compose(real_data: Path) -> None:
-    source = open_source("replicacad", real_data / "replicacad")
-    scene = with_shipped_navmesh(source.read("v3_sc0_staging_00"), AgentConfig())
-    with pytest.raises(InputError, match="neither a mesh nor walls") as caught:
-        compose_scene(scene, source.geometry(scene), AgentConfig())
-    assert caught.value.where == "replicacad/v3_sc0_staging_00"
 
 
 # --- looks
@@ -224,10 +198,7 @@ def rewritten(data: bytes, change: Any) -> bytes:
     root, binary = glb_chunks(data, "x")
     tree = json.loads(json.dumps(root.value))
     change(tree)
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+    return packed_glb(json.dumps(tree).encode(), binary)
 
 
 def joined(*files: bytes) -> bytes:
@@ -269,7 +240,6 @@ def test_a_texture_that_is_elsewhere_is_counted_and_left() -> None:
         tree["images"][0] = {"uri": "../../../etc/passwd"}
 
     part = read_part(rewritten(textured(), outside), "part.glb")
-    assert part.look is not None
     assert (part.look.lost, part.look.images, part.look.textures) == (1, [], [])
     assert "baseColorTexture" not in part.look.materials[0]["pbrMetallicRoughness"]
     data = joined(rewritten(textured(), outside))
@@ -300,7 +270,7 @@ def changed(path: str, value: Any) -> Any:
         (changed("materials/0/alphaMode", "ODD"), "is not an alpha mode"),
         (changed("materials", {}), "an array is expected"),
         (changed("meshes/0/primitives/0/attributes/NORMAL", 0), "is not allowed for NORMAL"),
-        (changed("extensionsRequired", ["KHR_draco_mesh_compression"]), "can't be read"),
+        (changed("extensionsRequired", ["EXT_meshopt_compression"]), "can't be read"),
     ],
 )
 def test_a_part_that_is_not_sound_is_refused(change: Any, message: str) -> None:
@@ -329,34 +299,17 @@ def test_more_entries_than_vertices_and_faces_beyond_them_are_refused() -> None:
         read_part(rewritten(textured(), fewer), "part.glb")
 
 
-def _mutated(data: st.DataObject) -> None:
+@pytest.mark.rounds(15)
+@given(data=st.data())
+def test_broken_parts_give_a_sound_file_or_our_error(data: st.DataObject) -> None:
     root, binary = glb_chunks(textured(), "x")
-    text = bytearray(json.dumps(root.value).encode())
-    tokens = st.sampled_from([b"-1", b"9e9", b"null", b"{}", b"[]", b'""', b"1", b"255"]) | st.binary(max_size=2)
-    for _ in range(data.draw(st.integers(1, 3))):
-        at = data.draw(st.integers(0, len(text) - 1))
-        text[at : at + data.draw(st.integers(0, 4))] = data.draw(tokens)
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + bytes(text)
-    body += struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    tokens = [b"-1", b"9e9", b"null", b"{}", b"[]", b'""', b"1", b"255"]
+    text = broken(data, json.dumps(root.value).encode(), tokens, 4)
     with suppress(FormatError):
-        part: GlbPart = read_part(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body, "part.glb")
+        part: GlbPart = read_part(packed_glb(text, binary), "part.glb")
         writer = GlbWriter(np.eye(4))
         writer.place("body", [(writer.add(part), np.eye(4))])
         read_part(writer.to_bytes(), "composed.glb")
-
-
-@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
-@given(data=st.data())
-def test_broken_parts_give_a_sound_file_or_our_error(data: st.DataObject) -> None:
-    _mutated(data)
-
-
-@pytest.mark.soak
-@settings(max_examples=5000, suppress_health_check=[HealthCheck.too_slow])
-@given(data=st.data())
-def test_broken_parts_at_full_count(data: st.DataObject) -> None:
-    _mutated(data)
 
 
 def test_real_files_come_out_as_they_went_in(real_data: Path) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from condvln.export.densify import densify, densify_many
+from condvln.navigation.points import densify, densify_many
 
 coordinates = st.floats(-30, 30, allow_nan=False)
 paths = st.integers(1, 8).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=coordinates))

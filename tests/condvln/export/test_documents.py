@@ -14,16 +14,17 @@ import pyarrow as pa
 import pytest
 import yaml
 
-from condvln.export.axes import route_class, words_class
 from condvln.export.card import dataset_card
-from condvln.export.changelog import Changes, PublishedEpisodes, changes_between, with_entry
-from condvln.export.consumers import LINK
+from condvln.export.changelog import Changes, PublishedEpisodes, changes_between
 from condvln.export.contents import CHANGELOG
 from condvln.export.report import ExportReport
 from condvln.export.snapshot import export_snapshot
-from condvln.export.splits import SPLITS
+from condvln.export.splits import SPLITS, route_class, words_class
 from condvln.export.tables import MemoryTables
 from tests.made_snapshot import made_snapshot
+from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split, read
+
+LINK = "data/datasets/condvln"
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +111,7 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.yaml"))
     assert files == [
         "habitat_lab/condvln.yaml",
+        "internnav/condvln.yaml",
         "navid/condvln_experiment.yaml",
         "navid/condvln_task.yaml",
         "navila/condvln_experiment.yaml",
@@ -138,7 +140,7 @@ def test_consumers_files_point_at_files_that_are_there(exported: Path) -> None:
                 pointed += 1
             if key[-1] in ("SUCCESS_DISTANCE", "success_distance"):
                 assert value == (3.0 if {"NDTW", "SDTW"} & set(key) else 1.0), (name, key)
-    assert pointed == 7 * 3 + 2 + 4  # tasks name episodes and truth twice; habitat-lab episodes; experiments a task
+    assert pointed == 7 * 3 + 3 + 4  # tasks name episodes and truth twice; habitat-lab episodes; experiments a task
 
 
 def walk(value: Any, key: tuple[str, ...] = ()) -> Any:
@@ -195,8 +197,26 @@ def test_the_rxr_task_has_the_body_the_cameras_and_the_actions_of_rxr(exported: 
     assert "BERT" in text
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_the_measures_of_a_task_find_the_truth_of_each_episode(exported: Path, name: str) -> None:
+    """VLN-CE's nDTW opens the truth of both of RxR's roles where its path has a place for a role, and looks ids up."""
+    document = yaml.safe_load((exported / "configs" / f"{name}.yaml").read_text())
+    split, root = document["DATASET"]["SPLIT"], "VLN_CE/" if name.startswith("vln_zero") else ""
+    kinds: dict[str, Any] = {"instruction": RxRInstruction} if "rxr" in name else {}
+    if document["DATASET"]["TYPE"] == "ANSR-v1":
+        kinds["kind"] = AnsrEpisode
+    path = document["DATASET"]["DATA_PATH"].removeprefix(f"{root}{LINK}/").format(split=split, role="guide")
+    episodes = load_split(exported / path, **kinds)
+    for measure in ("NDTW", "SDTW"):
+        truth = document["TASK"][measure]["GT_PATH"].removeprefix(f"{root}{LINK}/")
+        roles = ("guide", "follower") if "{role}" in truth else ("",)
+        found = set().union(*(read(exported / truth.format(split=split, role=role)) for role in roles))
+        assert {episode.episode_id for episode in episodes} <= found
+
+
 def test_the_file_for_streamvln_is_whole_and_global(exported: Path) -> None:
     """Hydra puts a file without its package line under the name of its folder."""
+    assert (exported / "configs/internnav/condvln.yaml").read_text().startswith("# @package _global_\n")
     text = (exported / "configs/streamvln/condvln.yaml").read_text()
     assert text.startswith("# @package _global_\n")
     habitat = yaml.safe_load(text)["habitat"]
@@ -262,7 +282,7 @@ def test_a_split_that_can_not_be_filled_is_named() -> None:
         "no deep_nested, no chain, no long_chain, no nested_chain; 44 of them simple"
     }
     assert report.document()["lopsided_splits"] == report.lopsided
-    assert "* `test`: 59 episodes where" in dataset_card(report, "x")
+    assert "* `test`: 59 episodes where" in dataset_card(report)
 
 
 def test_a_category_that_is_rare_in_one_split_only_is_named() -> None:
@@ -372,12 +392,11 @@ def test_generation_and_choice_are_told_apart(tmp_path: Path) -> None:
 def told(published: PublishedEpisodes, rows: Any) -> PublishedEpisodes:
     """Some of the episodes."""
     columns = {key: getattr(published, key)[rows] for key in ("ids", "scene", "split", "text", "geometry")}
-    return replace(published, snapshot="some", names=published.names.take(pa.array(rows)), **columns)
+    return replace(published, snapshot="some", names=published.names[rows], **columns)
 
 
 def test_every_difference_has_a_reason(exported: Path) -> None:
     whole = PublishedEpisodes.of_export(exported)
-    assert whole is not None
     assert len(whole) == sum(json.loads((exported / "export.json").read_text())["episodes"].values())
     same = changes_between(whole, whole)
     assert (same.kept, same.added, same.dropped, same.changed) == (len(whole), {}, {}, {})
@@ -396,14 +415,6 @@ def test_every_difference_has_a_reason(exported: Path) -> None:
     }
     gone = told(whole, np.flatnonzero(whole.scene != 0))
     assert set(changes_between(whole, replace(gone, navmeshes={})).dropped) == {"their scene is gone"}
-
-
-def test_entries_stand_newest_first_and_once() -> None:
-    one, two = Changes("a", "b"), Changes("b", "c")
-    text = with_entry(with_entry("", one), two)
-    assert text.index("## c") < text.index("## b")
-    assert with_entry(text, two) == text
-    assert text.count("# Changelog") == 1
 
 
 def test_examples_are_the_first_by_name_whatever_the_order() -> None:
@@ -434,15 +445,15 @@ def test_files_tell_the_command_that_puts_scenes_where_they_look(exported: Path,
         document = yaml.safe_load(text)
         dataset = document.get("DATASET") or document.get("habitat", {}).get("dataset", {})
         scenes = dataset.get("SCENES_DIR") or dataset.get("scenes_dir")
-        command = "condvln compose CONFIG --all "
+        command = "condvln export CONFIG --compose "
         assert text.count(command) == 1
         assert "ReplicaCAD" in text
         if scenes is not None:  # experiments name a task file, which names the folder
             assert f"`{command}{scenes}`" in text
             assert f"put scene meshes below {scenes}." in text
             told += 1
-    assert told == 9
+    assert told == 10
     assert [p for p in sorted((tmp_path / "configs").rglob("*.yaml")) if "compose" in p.read_text()] == []
-    assert "`condvln compose CONFIG --all data/scene_datasets`" in (exported / "README.md").read_text()
+    assert "`condvln export CONFIG --compose data/scene_datasets`" in (exported / "README.md").read_text()
     assert "compose" not in (tmp_path / "README.md").read_text()
     assert "at the path that `scene_id` names" in (tmp_path / "README.md").read_text()

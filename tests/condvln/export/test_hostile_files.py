@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,20 +15,11 @@ from condvln.evaluation.discrete import read_graph_episodes
 from condvln.evaluation.episode_stats import is_episode_stats, read_episode_stats
 from condvln.export.twin import rewrite_split
 from condvln.export.validation import CODES, validate
-from condvln.export.validation.navmeshes import EpisodeNavmeshes
+from condvln.export.validation.folder import EpisodeNavmeshes
 from condvln.manifest import read_manifest
 from schemas.errors import CondVLNError
+from tests.broken_bytes import ANYTHING, spoiled
 from tests.strict_loader import read
-
-ANYTHING = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-(2**63), 2**64)
-    | st.floats(allow_nan=False, allow_infinity=False)
-    | st.sampled_from(["", "a", "../x", "\ud7ff", "mp3d/a/a.glb", "<pad>"]),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["a", "position", "path"]), inner),
-    max_leaves=6,
-)
 
 
 @pytest.fixture(scope="module")
@@ -54,29 +43,6 @@ def documents(exported: Path) -> dict[str, Any]:
         "test_gt.json": {name: {**truths[name], "locations": truths[name]["locations"][:3]} for name in names},
         "R2R_test.json": [item],
     }
-
-
-def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    yield at
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, part in inner:
-        yield from places(part, (*at, key))
-
-
-def spoiled(document: Any, data: st.DataObject) -> Any:
-    """One value somewhere replaced by anything, or its key taken away."""
-    found = copy.deepcopy(document)
-    *path, last = data.draw(st.sampled_from([place for place in places(found) if place]))
-    at = found
-    for key in path:
-        at = at[key]
-    if data.draw(st.booleans()):
-        at[last] = data.draw(ANYTHING)
-    elif isinstance(at, dict):
-        del at[last]
-    else:
-        at.pop(last)
-    return found
 
 
 FUZZED = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])

@@ -1,9 +1,8 @@
-"""Ids of episodes: integers in every file, made from a hash that stands beside them; and files whose ids are hashes."""
+"""Ids of episodes: integers in every file, made from the hash beside them; predictions may name either."""
 
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +18,12 @@ from condvln.evaluation.task import Task
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
 from condvln.export.tables import MemoryTables
-from condvln.export.twin import rewrite_split
-from condvln.export.validation.folder import validate
-from condvln.manifest import read_manifest
+from condvln.manifest import manifest_lines, read_manifest
 from schemas.errors import FormatError
 from tests.condvln.evaluation.conftest import OpenPlain
-from tests.condvln.export.conftest import linear_text
-from tests.former_export import former_export, former_tables
 from tests.strict_loader import read
 
 LIMIT = 2**53
-
-
-@pytest.fixture(scope="module")
-def former(exported: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same export as the release before wrote it."""
-    return former_export(exported, tmp_path_factory.mktemp("former"))
 
 
 def walked(tasks: list[Task], names: list[str]) -> list[Prediction]:
@@ -57,8 +46,8 @@ def test_every_id_of_every_file_is_an_integer_made_from_the_hash(exported: Path,
     for variant in ("vlnce", "ansr", "rxr", "oracle"):
         stem = f"{split}_guide" if variant == "rxr" else split
         episodes = read(exported / variant / split / f"{stem}.json.gz")["episodes"]
-        assert [e["episode_id"] for e in episodes] == [e["trajectory_id"] for e in episodes] == ids
-        assert all(type(e["episode_id"]) is int for e in episodes)
+        kind = str if variant == "rxr" else int  # RxR's loader makes no texts of them
+        assert [e["episode_id"] for e in episodes] == [e["trajectory_id"] for e in episodes] == [*map(kind, ids)]
         assert [e["info"]["episode_hash"] for e in episodes] == [row["episode_hash"] for row in rows]
         assert [int(name) for name in read(exported / variant / split / f"{stem}_gt.json.gz")] == ids
         if variant == "rxr":
@@ -103,49 +92,15 @@ def test_predictions_by_the_hash_score_as_those_by_the_id(exported: Path, tmp_pa
         evaluation_of_stats(tasks, twice)
 
 
-# -- files of the release before ---------------------------------------------------------------------------------------
-
-
-def test_a_former_export_is_evaluated(former: Path, exported: Path) -> None:
-    tasks, now = split_tasks(former, "train"), split_tasks(exported, "train")
-    assert [task.episode_id for task in tasks] == [task.episode_hash for task in now]
-    numbers = [str(numeric_id(task.episode_id)) for task in tasks]  # of its RxR files
-    for names in ([task.episode_id for task in tasks], numbers):
-        found = evaluate(tasks, walked(tasks, names), world)
-        assert (found.scores["success"] == 1).all()
-        assert (found.scores["ndtw"] == 1).all()
-
-
-def test_a_former_export_is_valid_but_loaders_that_want_numbers_are_warned_of(former: Path) -> None:
-    report = validate(former)
-    assert not [finding for finding in report if finding.severity == "error"]
-    assert {finding.code for finding in report} == {"id-not-integer"}
-    assert len(report) == len(list(former.glob("*/*/*.json.gz"))) / 2, "one for each document, not for each episode"
-
-
-def test_a_former_snapshot_exports_to_the_same_files(tables: MemoryTables, exported: Path, tmp_path: Path) -> None:
-    export_snapshot(former_tables(tables), tmp_path, oracle_texts=linear_text)
-    for path in exported.rglob("*"):
-        if path.is_file():
-            assert (tmp_path / path.relative_to(exported)).read_bytes() == path.read_bytes(), path.name
-
-
-def test_an_export_over_a_former_one_finds_its_episodes_again(
-    tables: MemoryTables, former: Path, tmp_path: Path
+@pytest.mark.parametrize("own", [{"episode_id": "a1"}, {"episode_id": "12", "episode_hash": "a"}, {"episode_id": 12}])
+def test_a_manifest_of_an_older_release_is_refused_with_what_to_do(
+    exported: Path, tmp_path: Path, own: dict[str, Any]
 ) -> None:
-    place = Path(shutil.copytree(former, tmp_path / "place"))
-    later = MemoryTables("later", tables.tables)
-    report = export_snapshot(later, place, oracle_texts=linear_text, former=former_tables(tables))
-    total = sum(report.episodes.values())
-    text = (place / "CHANGELOG.md").read_text()
-    assert f"{total:,} episodes are as they were" in text
-    assert "### Added" not in text
-    assert "### Dropped" not in text
-
-
-def test_the_twin_of_a_former_file(former: Path, exported: Path, tmp_path: Path) -> None:
-    manifest = {str(row.episode_id): row for row in read_manifest(former / "manifest" / "train.jsonl")}
-    done = rewrite_split(
-        former / "vlnce" / "train" / "train.json.gz", manifest, tmp_path / "twin.json.gz", lambda row: "Go."
-    )
-    assert done.episodes == len(manifest)
+    """Its ids were texts, of the hash or of the number."""
+    row = json.loads((exported / "manifest" / "train.jsonl").read_text().splitlines()[0])
+    del row["episode_id"], row["episode_hash"]
+    (tmp_path / "train.jsonl").write_text(json.dumps(row | own) + "\n")
+    with pytest.raises(FormatError, match=r"train\.jsonl: line 1: episode_(id|hash): .*Export the split again"):
+        list(read_manifest(tmp_path / "train.jsonl"))
+    with pytest.raises(FormatError, match=r"train\.jsonl: line 1: episode_(id|hash): .*Export the split again"):
+        [line.ids() for line in manifest_lines(tmp_path / "train.jsonl")]

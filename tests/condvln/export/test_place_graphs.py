@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.export.place_graphs import PLACES, Places, graph_keys, pickled_graphs
-from condvln.navigation.connectivity import ViewpointGraph
+from condvln.navigation.graph_pathfinder import ViewpointGraph
 
 points = st.lists(st.tuples(*[st.floats(-20, 20, allow_nan=False)] * 3).map(list), min_size=1, max_size=6)
 

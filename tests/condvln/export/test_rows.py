@@ -5,15 +5,10 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from condvln.export.rows import Points, rows_of
-from condvln.export.tables import MemoryTables
-from condvln.export.vlnce import EncodedEpisode, encode, ground_truth
+from condvln.export.tables import MemoryTables, rows_of
 
 
 def with_lists(value: Any) -> Any:
@@ -63,39 +58,3 @@ def test_structs_of_texts_are_as_pyarrow_says(count: int, kinds: int) -> None:
     table = pa.table({"s": pa.array(values, pa.list_(kind))})
     assert rows_of(table) == table.to_pylist()
     assert rows_of(table.slice(100, 50)) == table.slice(100, 50).to_pylist()
-
-
-POINT = pa.struct([("x", pa.float64()), ("y", pa.float64()), ("z", pa.float64())])
-number = st.floats(width=64) | st.integers(-9999, 9999).map(lambda k: k / 1000)
-point = st.fixed_dictionaries({"x": number, "y": number, "z": number})
-
-
-@given(st.lists(st.none() | st.lists(point, max_size=4), max_size=9), st.integers(0, 4), st.integers(0, 9))
-def test_encoded_points_say_the_same(lists: list[list[dict[str, float]] | None], begin: int, length: int) -> None:
-    """Any floats, empty lists, lists that are null, and parts of a column."""
-    table = pa.table({"p": pa.array(lists, pa.list_(POINT))}).slice(begin, length)
-    plain, encoded = rows_of(table), rows_of(table, encoded=True)
-    assert encode(encoded) == encode(plain)
-    for one, other in zip(plain, encoded, strict=True):
-        if one["p"] is None:
-            assert other["p"] is None
-            continue
-        assert isinstance(other["p"], Points)
-        assert len(other["p"]) == len(one["p"])
-        np.testing.assert_array_equal(np.asarray(other["p"]), np.array(one["p"], dtype=np.float64).reshape(-1, 3))
-        for k, found in enumerate(other["p"]):
-            np.testing.assert_array_equal([found, other["p"][k]], [one["p"][k]] * 2)
-
-
-def test_points_that_are_null_are_not_encoded() -> None:
-    table = pa.table({"p": pa.array([[None, {"x": 1.0, "y": 2.0, "z": 3.0}]], pa.list_(POINT))})
-    assert rows_of(table, encoded=True) == [{"p": [None, [1.0, 2.0, 3.0]]}]
-
-
-def test_an_encoded_row_gives_the_same_files(tables: MemoryTables) -> None:
-    table = tables.tables["replicacad"]["episodes"]
-    for plain, encoded in zip(rows_of(table), rows_of(table, encoded=True), strict=True):
-        assert EncodedEpisode.of(encoded, "a.glb") == EncodedEpisode.of(plain, "a.glb")
-        for change in ({}, {"actions": None}, {"actions": None, "locations": None}):
-            assert encode(ground_truth({**encoded, **change})) == encode(ground_truth({**plain, **change}))
-        assert encode(encoded) == encode(plain)

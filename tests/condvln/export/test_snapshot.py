@@ -5,19 +5,16 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from condvln.export import snapshot
-from condvln.export.rows import rows_of
-from condvln.export.snapshot import ExportConfig, export_snapshot
+from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
-from condvln.export.tables import FolderTables, MemoryTables
-from condvln.export.tokens import Vocabulary, tokenize
+from condvln.export.tables import FolderTables, MemoryTables, rows_of
+from condvln.export.tokens import tokenize
 from condvln.formats import streams
 from schemas.config import SplitsConfig
 from schemas.errors import FormatError, MissingFileError, StoreError
@@ -120,7 +117,7 @@ def test_one_vocabulary_knows_every_word_of_all_splits(exported: Path) -> None:
 
 
 def test_same_snapshot_same_bytes(exported: Path, tables: MemoryTables, tmp_path: Path) -> None:
-    export_snapshot(tables, tmp_path, oracle_texts=linear_text)
+    export_snapshot(tables, tmp_path, oracle_text=linear_text)
     assert hashes(tmp_path) == hashes(exported)
     # gzip: no time, no file name
     head = (tmp_path / "vlnce" / "train" / "train.json.gz").read_bytes()[:10]
@@ -134,34 +131,8 @@ def test_bytes_do_not_depend_on_how_the_rows_are_cut(exported: Path, tables: Mem
             for batch in MemoryTables.batches(self, table, source, columns):
                 yield from (batch.slice(i, 7) for i in range(0, batch.num_rows, 7))
 
-    export_snapshot(Sliced(tables.id, tables.tables), tmp_path, oracle_texts=linear_text)
+    export_snapshot(Sliced(tables.id, tables.tables), tmp_path, oracle_text=linear_text)
     assert hashes(tmp_path) == hashes(exported)
-
-
-@pytest.mark.parametrize(("rows", "instructions", "decoded"), [(0, 0, 2), (0, 10**6, 1), (10**6, 10**6, 1)])
-def test_bytes_do_not_depend_on_what_is_kept_for_the_second_pass(
-    exported: Path,
-    tables: MemoryTables,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    rows: int,
-    instructions: int,
-    decoded: int,
-) -> None:
-    """Nothing, the instructions, or all rows; what is kept of the last source is decoded once."""
-    asked: Counter[str] = Counter()
-
-    class Counted(MemoryTables):
-        def batches(self, table: str, source: str, columns: Any = None) -> Any:
-            if table == "instructions" and columns is None:
-                asked[source] += 1
-            return MemoryTables.batches(self, table, source, columns)
-
-    monkeypatch.setattr(snapshot, "ROWS_KEPT", rows)
-    monkeypatch.setattr(snapshot, "INSTRUCTIONS_KEPT", instructions)
-    export_snapshot(Counted(tables.id, tables.tables), tmp_path, oracle_texts=linear_text)
-    assert hashes(tmp_path) == hashes(exported)
-    assert min(asked.values()) == decoded
 
 
 def test_a_folder_of_parts_exports_as_the_tables_do(exported: Path, tables: MemoryTables, tmp_path: Path) -> None:
@@ -180,7 +151,7 @@ def test_a_folder_of_parts_exports_as_the_tables_do(exported: Path, tables: Memo
     found = FolderTables(snapshot)
     assert found.id == "made"
     assert found.sources == ("replicacad",)
-    export_snapshot(found, tmp_path / "out", oracle_texts=linear_text)
+    export_snapshot(found, tmp_path / "out", oracle_text=linear_text)
     assert hashes(tmp_path / "out") == hashes(exported)
     part = next((snapshot / "scenes" / "source=replicacad").glob("*.parquet"))
     part.write_bytes(part.read_bytes()[:100])
@@ -216,7 +187,7 @@ def test_ids_and_rows_are_stable_when_scenes_are_added(exported: Path, tmp_path:
 
 
 def test_files_of_a_former_export_do_not_linger(tables: MemoryTables, tmp_path: Path) -> None:
-    export_snapshot(tables, tmp_path, oracle_texts=linear_text)
+    export_snapshot(tables, tmp_path, oracle_text=linear_text)
     (tmp_path / "notes.txt").write_text("mine")
     export_snapshot(tables, tmp_path)
     left = hashes(tmp_path)
@@ -300,12 +271,12 @@ def test_texts_that_would_be_cut_are_left_out_with_their_groups(tables: MemoryTa
     # Without a limit there is no such reason, and what is published of them is cut.
     for none in 0, None:
         out = tmp_path / f"unlimited-{none}"
-        report = export_snapshot(long, out, ExportConfig(SplitsConfig(max_tokens=none)))
+        report = export_snapshot(long, out, SplitsConfig(max_tokens=none))
         assert "more tokens than an agent reads" not in report.left_out
         published = {line["episode_id"] for split in SPLITS for line in manifest_of(out, split)}
         assert report.texts_cut == len(published & {single, member["episode_id"]}) > 0
     # The limit is inclusive, and its own.
-    report = export_snapshot(long, tmp_path / "wider", ExportConfig(SplitsConfig(max_tokens=201)))
+    report = export_snapshot(long, tmp_path / "wider", SplitsConfig(max_tokens=201))
     assert report.left_out["more tokens than an agent reads"] == 1
 
 
@@ -361,7 +332,7 @@ def test_a_full_disk_leaves_no_file_under_a_final_name(
 
     monkeypatch.setattr(streams.ByteStream, "_put", limited)
     with pytest.raises(StoreError, match="No space left on device"):
-        export_snapshot(tables, tmp_path, oracle_texts=linear_text)
+        export_snapshot(tables, tmp_path, oracle_text=linear_text)
     monkeypatch.undo()
     for path in tmp_path.rglob("*"):
         if path.is_file():
@@ -387,15 +358,6 @@ def test_a_missing_instruction_and_scenes_out_of_order_are_refused(tables: Memor
         export_snapshot(changed(tables, "episodes", lambda rows: rows.append(rows[-1])), tmp_path)
 
 
-def test_a_foreign_vocabulary_marks_what_it_does_not_know(tables: MemoryTables, tmp_path: Path) -> None:
-    config = ExportConfig(vocabulary=Vocabulary.of(["walk to the"]), token_length=8)
-    report = export_snapshot(tables, tmp_path, config)
-    episode = load_split(tmp_path / "vlnce" / "train" / "train.json.gz")[0]
-    assert 1 in episode.instruction.instruction_tokens
-    assert len(episode.instruction.instruction_tokens) == 8
-    assert report.texts_cut == sum(report.episodes.values())
-
-
 def test_any_character_goes_through(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     pairs = [made_rows(rng, "apt_0", number, "simple") for number in range(40)]
@@ -413,7 +375,7 @@ def test_any_character_goes_through(tmp_path: Path) -> None:
             }
         },
     )
-    report = export_snapshot(odd, tmp_path, ExportConfig(SplitsConfig()))
+    report = export_snapshot(odd, tmp_path, SplitsConfig())
     loaded = load_split(tmp_path / "vlnce" / "test" / "test.json.gz")
     assert len(loaded) == report.episodes["test"] > 0
     assert loaded[0].instruction.instruction_text.startswith("Gehe zu “Öfen” 椅子 \x07 \U0001f6cb, ")

@@ -188,22 +188,17 @@ def test_a_half_removed_old_export_leaves_nothing_in_the_new_one(out: Path, monk
 
 
 @pytest.mark.parametrize("way", ["exchange", "rename"])
-@pytest.mark.parametrize("former", ["none", "other"])
-def test_killed_at_every_tenth_change_of_the_disk(tmp_path: Path, way: str, former: str) -> None:
-    _killed(tmp_path, way, former, 10)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("way", ["exchange", "rename"])
-@pytest.mark.parametrize("former", ["none", "other", "same"])
-def test_killed_at_every_change_of_the_disk(tmp_path: Path, way: str, former: str) -> None:
-    _killed(tmp_path, way, former, 1)
-
-
-def _killed(folder: Path, way: str, former: str, step: int) -> None:
-    run = subprocess.run(
-        [sys.executable, str(DRIVER), str(folder), way, former, str(step)], capture_output=True, text=True, check=False
-    )
+@pytest.mark.parametrize(
+    ("former", "step"),
+    [
+        ("none", 10),
+        ("other", 10),
+        *(pytest.param(name, 1, marks=pytest.mark.soak) for name in ("none", "other", "same")),
+    ],
+)
+def test_killed_at_every_so_many_changes_of_the_disk(tmp_path: Path, way: str, former: str, step: int) -> None:
+    words = [sys.executable, str(DRIVER), str(tmp_path), way, former, str(step)]
+    run = subprocess.run(words, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     points = int(run.stdout.split()[0])
     assert points > 60

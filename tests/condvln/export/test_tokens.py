@@ -6,12 +6,11 @@ import gzip
 import json
 from pathlib import Path
 
-import pyarrow as pa
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.export.tokens import PAD_INDEX, TOKEN_LENGTH, UNK_INDEX, Vocabulary, longer_than, tokenize
+from condvln.export.tokens import PAD_INDEX, TOKEN_LENGTH, UNK_INDEX, Vocabulary, tokenize
 
 
 def test_stock_file_tokenises_to_its_own_numbers(real_data: Path) -> None:
@@ -48,28 +47,6 @@ def test_own_vocabulary_knows_every_word_in_any_order(texts: list[str]) -> None:
         assert [vocabulary.words[token] for token in tokens] == tokenize(text)
         assert len(vocabulary.padded(text)) == TOKEN_LENGTH
         assert vocabulary.padded(text)[: len(tokens)] == tokens[:TOKEN_LENGTH]
-
-
-@given(st.lists(st.text(st.sampled_from("ab0Σ ,.?('s-\n\xa0") | st.characters(exclude_categories=["Cs"])), max_size=8))
-@example(["a. (b", "a 's", "a . b", "a , (b", "ΑΣ. Β", "a.?", "<pad> a", ""])
-def test_pieces_of_texts_give_the_tokens_of_whole_texts(texts: list[str]) -> None:
-    """Also where marks on both sides of a space are one token, in a vocabulary and in padded rows of any length."""
-    vocabulary = Vocabulary.of(texts)
-    assert set(vocabulary.words[2:]) == {word for text in texts for word in tokenize(text)} - {"<pad>", "<unk>"}
-    for text in [*texts, *reversed(texts)]:
-        for length in (1, 3, TOKEN_LENGTH):
-            told, count = vocabulary.padded_json(text, length)
-            assert json.loads(told) == vocabulary.padded(text, length)
-            assert told == json.dumps(json.loads(told), separators=(",", ":")).encode()
-            assert count == len(tokenize(text))
-
-
-@given(st.lists(st.text(st.sampled_from("aé0 ,.'s-\n\xa0") | st.characters(exclude_categories=["Cs"])), max_size=8))
-@example(["a.b.c.d", ".a.", "a's b's", "a-b c", "É é", "\u0130.\u0130"])
-def test_what_is_longer_is_what_the_tokenizer_says(texts: list[str]) -> None:
-    counts = [len(tokenize(text)) for text in texts]
-    for limit in {0, 1, 3, *counts, *(count - 1 for count in counts if count)}:
-        assert longer_than(pa.array(texts, pa.string()), limit).tolist() == [count > limit for count in counts]
 
 
 def test_unknown_words_and_long_texts() -> None:

@@ -269,7 +269,7 @@ def test_every_code_has_a_remedy_and_is_used(repository: Path) -> None:
     source = "".join(path.read_text() for path in (repository / "condvln" / "export" / "validation").glob("*.py"))
     for code, rule in CODES.items():
         assert rule.remedy
-        assert source.count(f'"{code}"') >= 2, code
+        assert f'"{code}"' in source, code
 
 
 def test_what_is_no_file_is_a_finding(tmp_path: Path) -> None:

@@ -164,6 +164,7 @@ RXR: list[tuple[str, Callable[[Rng, Any], None]]] = [
     ("wrong-type", put("start_rotation", [0.0, 0.0, 1.0])),
     ("wrong-type", put("info", [])),
     ("wrong-type", put("trajectory_id", [1])),
+    ("id-not-text", put("episode_id", 17)),
     ("wrong-type", put("goals", 0, "position", [1.0, 2.0])),
     ("reference-short", put("reference_path", [])),
 ]

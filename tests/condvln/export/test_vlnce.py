@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from condvln.export.rows import rows_of
-from condvln.export.tables import MemoryTables
+from condvln.export.tables import MemoryTables, rows_of
 from condvln.export.vlnce import ground_truth, scene_file
 from schemas.vlnce import GroundTruth, VlnCeDocument
 from tests.strict_loader import load_split, read
@@ -48,13 +47,6 @@ def test_walked_locations_come_before_the_dense_path(tables: MemoryTables) -> No
     bare = ground_truth({**row, "actions": None, "locations": None})
     assert "actions" not in bare
     assert bare["forward_steps"] == len(bare["locations"]) - 1
-
-
-def test_scene_files_by_family() -> None:
-    patterns = {"": "{family}/{scene}/{scene}.glb", "gibson": "gibson/{scene}.glb"}
-    assert scene_file("gibson", "Oyens", patterns) == "gibson/Oyens.glb"
-    assert scene_file("gibson", "Oyens") == "gibson/Oyens/Oyens.glb"
-    assert scene_file("replicacad", "apt_0", patterns) == "replicacad/apt_0/apt_0.glb"
 
 
 @pytest.mark.parametrize(

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import copy
-import io
 import json
-import struct
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from condvln.formats import gltf_tree
 from condvln.formats.glb import read_glb
-from condvln.formats.gltf_tree import MAX_NODE_DEPTH
+from condvln.formats.gltf_tree import MAX_NODE_DEPTH, packed_glb
+from condvln.formats.triangles import glb_triangles
 from schemas.errors import DeadlineError, FormatError
 
 Tree = dict[str, Any]
@@ -41,10 +43,7 @@ TRIANGLE: Tree = {
 
 
 def glb(tree: Tree | bytes, binary: bytes = BINARY) -> bytes:
-    text = tree if isinstance(tree, bytes) else json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+    return packed_glb(tree if isinstance(tree, bytes) else json.dumps(tree).encode(), binary)
 
 
 def changed(*path: str | int, to: Any) -> Tree:
@@ -141,10 +140,10 @@ def test_a_box_is_closed_and_has_its_volume(glb_of_box: Callable[..., bytes]) ->
         (changed("accessors", 0, "count", to=1.5), "whole number"),
         (changed("accessors", 0, "byteOffset", to=1), "do not fit"),
         (changed("accessors", 0, "bufferView", to=7), "out of range: there are 2 entries"),
-        (changed("accessors", 0, "componentType", to=5122), "is not allowed here"),
-        (changed("accessors", 0, "type", to="VEC2"), "is not allowed here"),
+        (changed("accessors", 0, "componentType", to=5122), "is not allowed for"),
+        (changed("accessors", 0, "type", to="VEC2"), "is not allowed for"),
         (changed("accessors", 0, "sparse", to={"count": 1}), "sparse"),
-        (changed("accessors", 1, "componentType", to=5126), "is not allowed here"),
+        (changed("accessors", 1, "componentType", to=5126), "is not allowed for"),
         (changed("accessors", 1, "count", to=2), "not a multiple of three"),
         (changed("bufferViews", 0, "byteLength", to=10 << 30), "the binary chunk has 44"),
         (changed("bufferViews", 0, "byteOffset", to=-4), "not a count"),
@@ -154,10 +153,9 @@ def test_a_box_is_closed_and_has_its_volume(glb_of_box: Callable[..., bytes]) ->
         (changed("buffers", 0, "uri", to="../../other.bin"), "outside the file's own binary chunk"),
         (changed("buffers", 0, "uri", to="http://example.org/a.bin"), "outside the file's own binary chunk"),
         (changed("meshes", 0, "primitives", 0, "attributes", "POSITION", to=True), "whole number"),
-        (changed("meshes", 0, "primitives", 0, "mode", to=6), "triangle fans"),
         (changed("meshes", 0, "primitives", 0, "mode", to=1), "no triangles"),
-        (changed("meshes", 0, "primitives", 0, "extensions", to={"KHR_draco_mesh_compression": {}}), "draco"),
-        (changed("extensionsRequired", to=["KHR_draco_mesh_compression"]), "draco"),
+        (changed("meshes", 0, "primitives", 0, "extensions", to={"EXT_meshopt_compression": {}}), "meshopt"),
+        (changed("extensionsRequired", to=["EXT_mesh_gpu_instancing"]), "gpu_instancing"),
         (changed("nodes", 0, "children", to=[0]), "its own ancestor"),
         (changed("nodes", 0, "children", to=[9]), "out of range: there are 1 entries"),
         (changed("nodes", 0, "matrix", to=[1, 2]), "16 numbers"),
@@ -171,7 +169,7 @@ def test_a_box_is_closed_and_has_its_volume(glb_of_box: Callable[..., bytes]) ->
             f"more than {MAX_NODE_DEPTH}",
         ),
         (changed("nodes", to=[{"children": [1, 2]}, {"children": [3]}, {"children": [3]}, {"mesh": 0}]), "two parents"),
-        (b"[" * 10_000 + b"]" * 10_000, "10000 levels"),
+        (b"[" * 10_000 + b"]" * 10_000, "more than 64 levels"),
         (b'{"asset": 1, "asset": 2}', "'asset' occurs twice"),
         ({}, "no triangles"),
         ([], "an object is expected"),
@@ -227,6 +225,195 @@ def test_a_false_header_is_refused(at: int, bytes_: bytes, message: str) -> None
         read_glb(bytes(data), "t.glb")
 
 
+def test_bytes_after_the_stated_length_and_nul_after_the_json_are_ignored() -> None:
+    text = json.dumps(TRIANGLE).encode()
+    text += b"\0" * (4 + -len(text) % 4)
+    for data in (glb(TRIANGLE) + b"more", glb(text)):
+        np.testing.assert_array_equal(read_glb(data, "t.glb").vertices, read_glb(glb(TRIANGLE), "t.glb").vertices)
+
+
+def test_a_fan_is_read_as_its_triangles() -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [-1, 1, 0]], "<f4").tobytes()
+    tree = changed("accessors", 0, "count", to=5)
+    tree["meshes"][0]["primitives"][0] = {"attributes": {"POSITION": 0}, "mode": 6}
+    tree["bufferViews"][0]["byteLength"] = 60
+    expected = [
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0]],
+        [[0, 0, 0], [1, 1, 0], [0, 1, 0]],
+        [[0, 0, 0], [0, 1, 0], [-1, 1, 0]],
+    ]
+    geometry = read_glb(glb(tree, points), "t.glb")
+    np.testing.assert_array_equal(geometry.vertices[geometry.faces], expected)
+    # With indices, from the last vertex.
+    order = np.array([4, 3, 2, 1, 0, 0], "<u2").tobytes()
+    tree["accessors"][1]["count"] = 4
+    tree["bufferViews"][1] = {"buffer": 0, "byteOffset": 60, "byteLength": 12}
+    tree["meshes"][0]["primitives"][0]["indices"] = 1
+    geometry = read_glb(glb(tree, points + order), "t.glb")
+    expected = [[[-1, 1, 0], [0, 1, 0], [1, 1, 0]], [[-1, 1, 0], [1, 1, 0], [1, 0, 0]]]
+    np.testing.assert_array_equal(geometry.vertices[geometry.faces], expected)
+
+
+def sparse(base: bool, places: Sequence[int] = (1,), count: int = 1) -> tuple[Tree, bytes]:
+    """The triangle, whose second vertex is moved to (3, 4, 5) by a sparse accessor."""
+    values = np.array([[3, 4, 5]] * len(places), "<f4").tobytes()
+    binary = BINARY + np.array(places, "<u2").tobytes().ljust(4, b"\0") + values
+    tree = changed("buffers", 0, "byteLength", to=len(binary))
+    tree["bufferViews"] += [
+        {"buffer": 0, "byteOffset": 44, "byteLength": 4},
+        {"buffer": 0, "byteOffset": 48, "byteLength": len(values)},
+    ]
+    accessor = tree["accessors"][0]
+    accessor["sparse"] = {
+        "count": count,
+        "indices": {"bufferView": 2, "componentType": 5123},
+        "values": {"bufferView": 3},
+    }
+    if not base:
+        del accessor["bufferView"]
+    return tree, binary
+
+
+@pytest.mark.parametrize("base", [True, False])
+def test_sparse_accessors_are_read(base: bool) -> None:
+    geometry = read_glb(glb(*sparse(base, (0, 1), 2)), "t.glb")
+    last = [0, 2, 0] if base else [0, 0, 0]
+    if base:
+        assert len(geometry.faces) == 0  # two corners are the same
+    tree, binary = sparse(base)
+    geometry = read_glb(glb(tree, binary), "t.glb")
+    corners = {tuple(v) for v in geometry.vertices.tolist()}
+    assert corners == {(0, 0, 0), (3, 4, 5), tuple(last)}
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (sparse(True, (7,)), "the index 7 is out of range: there are 3 entries"),
+        (sparse(True, count=3), "3 items of 2 bytes do not fit into the view's 4 bytes"),
+        (sparse(True, count=10**12), "do not fit"),
+        (sparse(False, count=-1), "not a count"),
+    ],
+)
+def test_a_false_sparse_accessor_is_refused(made: tuple[Tree, bytes], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        read_glb(glb(*made), "t.glb")
+
+
+def test_a_sparse_accessor_that_claims_memory_is_refused() -> None:
+    tree, binary = sparse(False)
+    tree["accessors"][0]["count"] = 10**9
+    with pytest.raises(FormatError, match="that are not stored as such"):
+        read_glb(glb(tree, binary), "t.glb")
+
+
+@pytest.mark.parametrize(
+    ("kind", "component", "normalized", "unit"),
+    [("<i2", 5122, True, 32767), ("<u2", 5123, True, 65535), ("<i1", 5120, True, 127), ("<i2", 5122, False, 1)],
+)
+def test_quantized_positions_are_read(kind: str, component: int, normalized: bool, unit: int) -> None:
+    rows = np.zeros((3, 4), kind)
+    rows[1, 0], rows[2, 1] = unit, -unit if kind[1] == "i" else unit
+    tree = changed("extensionsRequired", to=["KHR_mesh_quantization"])
+    tree["accessors"][0] |= {"componentType": component, "normalized": normalized}
+    tree["bufferViews"] = [
+        {"buffer": 0, "byteLength": rows.nbytes, "byteStride": rows.strides[0]},
+        {"buffer": 0, "byteOffset": rows.nbytes, "byteLength": 8},
+    ]
+    geometry = read_glb(glb(tree, rows.tobytes() + BINARY[36:]), "t.glb")
+    np.testing.assert_array_equal(
+        geometry.vertices[geometry.faces[0]], [[0, 0, 0], [1, 0, 0], [0, -1 if kind[1] == "i" else 1, 0]]
+    )
+    del tree["extensionsRequired"]
+    with pytest.raises(FormatError, match="is not allowed for"):
+        read_glb(glb(tree, rows.tobytes() + BINARY[36:]), "t.glb")
+
+
+def draco(required: bool, stored: bool) -> Tree:
+    tree = changed("bufferViews", to=TRIANGLE["bufferViews"] + [{"buffer": 0, "byteLength": 40}])
+    tree["meshes"][0]["primitives"][0]["extensions"] = {
+        "KHR_draco_mesh_compression": {"bufferView": 2, "attributes": {"POSITION": 5, "JOINTS_0": 6}}
+    }
+    if not stored:
+        for accessor in tree["accessors"]:
+            del accessor["bufferView"]
+    tree["extensionsUsed"] = ["KHR_draco_mesh_compression"]
+    if required:
+        tree["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    return tree
+
+
+def test_draco_with_the_numbers_beside_it_needs_no_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gltf_tree, "find_spec", lambda _: None)
+    assert len(read_glb(glb(draco(required=False, stored=True)), "t.glb").faces) == 1
+    for tree in (draco(required=True, stored=True), draco(required=False, stored=False)):
+        with pytest.raises(FormatError, match=r"Draco, and DracoPy is not installed\. Install DracoPy"):
+            read_glb(glb(tree), "t.glb")
+
+
+def test_draco_is_read_by_its_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The decoder is a stand-in, since DracoPy is not a dependency."""
+    rows = np.array([[0, 0, 0], [0, 3, 0], [0, 0, 4]], np.float32)
+    seen: list[bytes] = []
+
+    def decode(data: bytes) -> Any:
+        seen.append(bytes(data))
+        return SimpleNamespace(attributes=[{"unique_id": 5, "data": rows}], faces=np.array([[0, 1, 2]], np.uint32))
+
+    monkeypatch.setattr(gltf_tree, "find_spec", lambda name: name)
+    monkeypatch.setitem(sys.modules, "DracoPy", SimpleNamespace(decode=decode))
+    geometry = read_glb(glb(draco(required=True, stored=False)), "t.glb")
+    np.testing.assert_array_equal(geometry.vertices[geometry.faces[0]], rows)
+    assert seen == [BINARY[:40]]
+
+    def damaged(data: bytes) -> Any:
+        raise ValueError("no Draco")
+
+    monkeypatch.setitem(sys.modules, "DracoPy", SimpleNamespace(decode=damaged))
+    with pytest.raises(FormatError, match="the Draco data is damaged"):
+        read_glb(glb(draco(required=True, stored=False)), "t.glb")
+    claiming = draco(required=True, stored=False)
+    claiming["accessors"][0]["count"] = 10**9
+    with pytest.raises(FormatError, match="that are not stored as such"):
+        read_glb(glb(claiming), "t.glb")
+
+
+@pytest.mark.parametrize(
+    ("points", "faces", "says"),
+    [
+        ([[0, 0, 0], [0, 3, 0], [0, 0, 4.001]], [[0, 1, 2]], None),
+        ([[0, 0, 0], [0, 3, 0], [0, 0, 4.2]], [[0, 1, 2]], "beyond their stated box"),
+        ([[0, 0, 0], [0, 3, 0], [0, 0, np.nan]], [[0, 1, 2]], "beyond their stated box"),
+        ([[0, 0, 0], [0, 3, 0], [0, 0, 4], [0, 0, 4]], [[0, 1, 2]], "4 vertices and 3 corners, not 3 and 3"),
+        ([[0, 0, 0], [0, 3, 0], [0, 0, 4]], [[0, 1, 2], [0, 1, 2]], "3 vertices and 6 corners, not 3 and 3"),
+    ],
+)
+def test_damage_of_draco_data_that_its_decoder_does_not_notice(
+    monkeypatch: pytest.MonkeyPatch, points: list[list[float]], faces: list[list[int]], says: str | None
+) -> None:
+    """Draco has no checksum: what it decodes is compared with what the file says of it."""
+    made = SimpleNamespace(
+        attributes=[{"unique_id": 5, "data": np.array(points, np.float32)}], faces=np.array(faces, np.uint32)
+    )
+    monkeypatch.setattr(gltf_tree, "find_spec", lambda name: name)
+    monkeypatch.setitem(sys.modules, "DracoPy", SimpleNamespace(decode=lambda _: made))
+    tree = draco(required=True, stored=False)
+    tree["accessors"][0] |= {"min": [0, 0, 0], "max": [0, 3, 4]}
+    if says is None:
+        assert len(read_glb(glb(tree), "t.glb").faces) == 1
+        return
+    with pytest.raises(FormatError, match=says):
+        read_glb(glb(tree), "t.glb")
+
+
+def test_several_primitives_of_a_mesh_keep_their_order() -> None:
+    tree = copy.deepcopy(TRIANGLE)
+    tree["meshes"][0]["primitives"] *= 12
+    vertices, faces = glb_triangles(glb(tree), "t.glb", np.eye(4))
+    assert faces[:, 0].tolist() == list(range(0, 36, 3))
+    np.testing.assert_array_equal(vertices[3:6], [[0, 0, 0], [1, 0, 0], [0, 2, 0]])
+
+
 def _mutate(data: st.DataObject, sound: bytes) -> bytes:
     bad = bytearray(sound)
     for _ in range(data.draw(st.integers(1, 6))):
@@ -235,71 +422,22 @@ def _mutate(data: st.DataObject, sound: bytes) -> bytes:
     return bytes(bad[: data.draw(st.integers(0, len(bad)) | st.just(len(bad)))])
 
 
-def _check_mutation(data: st.DataObject) -> None:
+@pytest.mark.rounds(15)
+@given(st.data())
+def test_mutations_give_geometry_or_our_error(data: st.DataObject) -> None:
     with suppress(FormatError):
         geometry = read_glb(_mutate(data, glb(TRIANGLE)), "m.glb")
         assert np.isfinite(geometry.vertices).all()
         assert geometry.faces.max(initial=-1) < len(geometry.vertices)
 
 
-@given(st.data())
-def test_mutations_give_geometry_or_our_error(data: st.DataObject) -> None:
-    _check_mutation(data)
-
-
-@pytest.mark.soak
-@settings(max_examples=5000)
-@given(st.data())
-def test_mutations_at_full_count(data: st.DataObject) -> None:
-    _check_mutation(data)
-
-
-def _walk(data: bytes) -> np.ndarray:
-    """All corner points of a GLB of plain indexed triangles and matrix nodes: read with struct and numpy alone."""
-    (size,) = struct.unpack_from("<I", data, 12)
-    tree, binary = json.loads(data[20 : 20 + size]), data[20 + size + 8 :]
-
-    def array(accessor: int) -> np.ndarray:
-        a = tree["accessors"][accessor]
-        view = tree["bufferViews"][a["bufferView"]]
-        kind, width = {5125: "<u4", 5126: "<f4", 5123: "<u2"}[a["componentType"]], {"SCALAR": 1, "VEC3": 3}[a["type"]]
-        start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
-        return np.frombuffer(binary, kind, a["count"] * width, start).reshape(-1, width)
-
-    points = []
-
-    def visit(index: int, parent: np.ndarray) -> None:
-        node = tree["nodes"][index]
-        matrix = parent @ np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
-        for primitive in tree["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ():
-            corners = array(primitive["attributes"]["POSITION"])[array(primitive["indices"])[:, 0]].astype(np.float64)
-            points.append(corners @ matrix[:3, :3].T + matrix[:3, 3])
-        for child in node.get("children", ()):
-            visit(child, matrix)
-
-    for root in tree["scenes"][tree["scene"]]["nodes"]:
-        visit(root, np.eye(4))
-    return np.concatenate(points)
-
-
-def test_all_real_files_agree_with_another_walk(real_data: Path) -> None:
+def test_all_real_files_agree_with_trimesh_alone(real_data: Path) -> None:
     files = sorted((real_data / "replicacad").rglob("*.glb"))
     assert len(files) == 189
     for file in files:
-        data = file.read_bytes()
-        geometry = read_glb(data, str(file))
-        expected = _walk(data)
-        got = geometry.vertices[np.unique(geometry.faces)] if len(geometry.faces) else geometry.vertices
-        np.testing.assert_allclose(geometry.vertices.min(0), expected.min(0), rtol=0, atol=1e-12, err_msg=str(file))
-        np.testing.assert_allclose(geometry.vertices.max(0), expected.max(0), rtol=0, atol=1e-12, err_msg=str(file))
-        assert len(got) <= len(expected)
-
-
-def test_a_real_box_is_not_centred_on_its_origin(real_data: Path) -> None:
-    file = real_data / "replicacad" / "objects" / "frl_apartment_chair_05.glb"
-    geometry = read_glb(file.read_bytes(), str(file))
-    assert geometry.vertices[:, 1].min() == pytest.approx(-0.571, abs=5e-4)
-    assert geometry.vertices[:, 1].max() == pytest.approx(0.329, abs=5e-4)
+        geometry = read_glb(file.read_bytes(), str(file))
+        bounds = [geometry.vertices.min(0), geometry.vertices.max(0)]
+        np.testing.assert_allclose(bounds, trimesh.load_scene(file).bounds, rtol=0, atol=1e-12, err_msg=str(file))
 
 
 def test_a_bomb_of_overlapping_accessors_is_refused() -> None:
@@ -322,20 +460,3 @@ def test_a_fault_that_is_not_of_the_file_is_not_told_as_one(
     monkeypatch.setattr(trimesh, "load_scene", fail)
     with pytest.raises(type(fault)):
         read_glb(glb_of_box((1.0, 1.0, 1.0)), "a.glb")
-
-
-def test_textures_are_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[int] = []
-    load = trimesh.load_scene
-
-    def counted(file: io.BytesIO, **more: Any) -> Any:
-        seen.append(len(file.getvalue()))
-        return load(file, **more)
-
-    monkeypatch.setattr(trimesh, "load_scene", counted)
-    texture = bytes(1 << 20)
-    tree = changed("buffers", 0, "byteLength", to=44 + len(texture))
-    tree["bufferViews"].append({"buffer": 0, "byteOffset": 44, "byteLength": len(texture)})
-    tree["images"] = [{"bufferView": 2, "mimeType": "image/png"}]
-    np.testing.assert_array_equal(read_glb(glb(tree, BINARY + texture), "t.glb").vertices.max(axis=0), [1, 2, 0])
-    assert seen[0] < 2000

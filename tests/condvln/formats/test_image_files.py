@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from condvln.formats.image_files import encoders, encoders_of, jpeg, png16
+from condvln.formats.image_files import jpeg, png16
 
 DEPTHS = arrays(
     np.float32,
@@ -51,9 +51,3 @@ def test_a_view_of_a_larger_array_is_written_like_a_copy() -> None:
     assert jpeg(whole[2:18, ::2, :3], 90) == jpeg(whole[2:18, ::2, :3].copy(), 90)
     depth = np.random.default_rng(0).uniform(0, 9, (20, 30)).astype(np.float32)
     assert png16(depth[::2, 3:], 1) == png16(depth[::2, 3:].copy(), 1)
-
-
-def test_a_record_without_encoders_is_pillow_s() -> None:
-    assert encoders_of({"pillow": "11.0"}, {}) == {"jpg": "Pillow 11.0", "png": "Pillow 11.0"}
-    assert encoders_of({"pillow": "11.0"}, {"jpg": "simplejpeg 1.9.0"}) == {"jpg": "simplejpeg 1.9.0"}
-    assert encoders().keys() == {"jpg", "png"}

@@ -6,12 +6,10 @@ import json
 from contextlib import suppress
 
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.formats import json_document
-from condvln.formats.json_arrays import TextArray
-from condvln.formats.json_document import MAX_DEPTH, JsonNode, canonical_json, is_shallow, nesting_depth, parse_json
+from condvln.formats.json_document import MAX_DEPTH, JsonNode, canonical_json, nesting_depth, parse_json
 from schemas.errors import FormatError
 
 documents = st.recursive(
@@ -41,7 +39,7 @@ def test_any_bytes_give_a_node_or_our_error(data: bytes) -> None:
 @pytest.mark.parametrize(("opening", "closing"), [(b"[", b"]"), (b'{"a":', b"}")])
 def test_deep_nesting_is_refused(depth: int, opening: bytes, closing: bytes) -> None:
     for data in (opening * depth + b"1" + closing * depth, opening * depth):
-        with pytest.raises(FormatError, match=rf"nested {depth} levels deep \(at most {MAX_DEPTH}\)"):
+        with pytest.raises(FormatError, match=f"nested more than {MAX_DEPTH} levels deep"):
             parse_json(data, "deep.json")
 
 
@@ -53,70 +51,13 @@ def test_nesting_is_counted_outside_of_strings_only() -> None:
         parse_json(b"[" * (MAX_DEPTH + 1) + b"]" * (MAX_DEPTH + 1), "f")
 
 
-bracketed = st.text('[]{}"\\\\ax,:', max_size=40).map(str.encode)
+@given(documents)
+def test_depth_is_that_of_a_recursive_count(document: object) -> None:
+    def depth(value: object) -> int:
+        inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
+        return 0 if inside is None else 1 + max(map(depth, inside), default=0)
 
-
-@given(bracketed, st.integers(1, 7))
-def test_depth_is_that_of_a_plain_count(text: bytes, piece: int) -> None:
-    """Wherever the text is cut into pieces: within strings, within escapes."""
-    depth, deepest, inside, escaped = 0, 0, False, False
-    for mark in text.decode():
-        if inside:
-            inside, escaped = escaped or mark != '"', mark == "\\" and not escaped
-        else:
-            inside = mark == '"'
-            depth += (mark in "[{") - (mark in "]}")
-            deepest = max(deepest, depth)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_document, "_PIECE", piece)
-        assert nesting_depth(text) == deepest
-
-
-@given(bracketed, st.integers(0, 4))
-@example(b'"[""]"[[]]', 0)
-@example(b'[["[",[["]"]]]', 1)
-def test_a_text_that_passes_for_shallow_is_not_deep(text: bytes, levels: int) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_document, "MAX_DEPTH", 2 * levels)
-        patch.setattr(json_document, "_LEVELS", levels)
-        assert not is_shallow(text) or nesting_depth(text) <= 2 * levels
-
-
-def test_common_documents_pass_for_shallow() -> None:
-    row = {"places": [[1.5, 2.0, "a"]] * MAX_DEPTH, "program": {"leaves": [{"moves": [{"room": {}}]}]}}
-    assert is_shallow(json.dumps(row).encode())
-    assert not is_shallow(b"[" * (MAX_DEPTH + 1) + b"]" * (MAX_DEPTH + 1))
-    assert 2 * json_document._LEVELS <= MAX_DEPTH
-
-
-@given(
-    documents | st.dictionaries(st.sampled_from("abcd"), st.lists(documents, max_size=4)), st.sampled_from([None, 1])
-)
-def test_large_documents_read_as_small_ones_do(document: object, indent: int | None) -> None:
-    data = json.dumps(document, indent=indent).encode()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_document, "LARGE_BYTES", 0)
-        large = parse_json(data, "f")
-    assert canonical_json(large.value) == canonical_json(document)
-    if isinstance(document, dict):
-        for key, value in document.items():
-            if isinstance(value, list):
-                assert isinstance(large.value[key], TextArray)
-                assert [node.value for node in large[key].elements()] == value
-                assert [node.place for node in large[key].entries()] == [f"{key}[{i}]" for i in range(len(value))]
-
-
-@given(st.binary(max_size=60) | st.text('{}[]",:\\ab019eE+-.NaInfitydu \n', max_size=60).map(str.encode))
-def test_large_and_small_refuse_the_same(data: bytes) -> None:
-    answers = []
-    for limit in (0, 1 << 30):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(json_document, "LARGE_BYTES", limit)
-            try:
-                answers.append(canonical_json(parse_json(data, "f").value))
-            except FormatError as error:
-                answers.append(error.place.encode())
-    assert answers[0] == answers[1]
+    assert nesting_depth(document) == depth(document)
 
 
 def test_an_unclosed_string_of_escapes_is_refused_in_linear_time() -> None:
@@ -129,8 +70,8 @@ def test_an_unclosed_string_of_escapes_is_refused_in_linear_time() -> None:
     [
         (b'{"a": 1, "a": 1}', "'a' occurs twice"),
         (b'{"x": {"a": 1, "b": 2, "a": 3}}', "'a' occurs twice"),
-        (b"[NaN]", "NaN is not allowed"),
-        (b"[-Infinity]", "-Infinity is not allowed"),
+        (b"[NaN]", r"\[0\]: the number NaN is not finite"),
+        (b'{"a": -Infinity}', "a: the number -Infinity is not finite"),
         (b'{"a": ', "line 1 column"),
         (b"", "not JSON"),
         (b"\xff\xfe", "not UTF-8"),
@@ -145,10 +86,22 @@ def test_what_is_refused_and_how(data: bytes, message: str) -> None:
     assert caught.value.remedy
 
 
+@pytest.mark.parametrize(
+    ("data", "place"),
+    [
+        (b"1e999", "top level"),
+        (b"1" * 230 + b"e99", "top level"),
+        (b"1" * 400 + b".0", "top level"),
+        (b'{"a": {"b": [1, -1e400]}}', r"a\.b\[1\]"),
+    ],
+)
+def test_a_number_that_is_not_finite_is_refused(data: bytes, place: str) -> None:
+    with pytest.raises(FormatError, match=f"f.json: {place}: the number .* is not finite"):
+        parse_json(data, "f.json")
+
+
 def test_errors_name_the_place() -> None:
-    node = parse_json(
-        b'{"objects": [{"t": [1, 2]}, {"t": [1, 2, "x"]}, {"t": [1e999, 0, 0]}, {"t": [true, 0, 0]}]}', "s"
-    )
+    node = parse_json(b'{"objects": [{"t": [1, 2]}, {"t": [1, 2, "x"]}, {"t": [1e9, 0, 0]}, {"t": [true, 0, 0]}]}', "s")
     second = node["objects"].elements()[1]
     for i, what in ((0, r"objects\[0\].t: 3 numbers are expected, not 2"), (1, r"objects\[1\].t\[2\]: a number")):
         with pytest.raises(FormatError, match=what):
@@ -171,10 +124,8 @@ def test_errors_name_the_place() -> None:
         ("1.5", "integer"),
         ("true", "integer"),
         ("1e300", "integer"),
-        ("1e999", "integer"),
         ("true", "number"),
         ("1e6", "number"),
-        ("-1e999", "number"),
         ("1", "boolean"),
     ],
 )

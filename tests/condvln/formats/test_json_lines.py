@@ -67,7 +67,7 @@ def test_a_changed_file_is_seen(tmp_path: Path) -> None:
         (b"plain", "not a valid gzip"),
         (gzip.compress(b"abc\n" * 1000, mtime=0)[:-9], "truncated"),
         (gzip.compress(b"abc\n" * 1000, mtime=0)[:20] + b"\xff" * 40, "not a valid gzip"),
-        (gzip.compress(b"abc", mtime=0) + b"more", "not a valid gzip"),
+        (gzip.compress(b"abc", mtime=0) + gzip.compress(b"abc", mtime=0)[:10] + b"\xff" * 40, "not a valid gzip"),
     ],
 )
 def test_broken_gzip_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
@@ -76,7 +76,28 @@ def test_broken_gzip_is_refused(tmp_path: Path, data: bytes, message: str) -> No
         list(file.lines())
     assert caught.value.where == str(tmp_path / "h.jsonl.gz")
     with pytest.raises(FormatError, match=message):
-        file.line(0)
+        file.line(2000)
+
+
+def test_lines_before_a_break_are_read(tmp_path: Path) -> None:
+    content = [bytes([i]).hex().encode() * 40_000 for i in range(20)]
+    noise = np.random.default_rng(0).bytes(300_000).hex().encode()
+    data = gzip.compress(b"\n".join([*content, noise, b"after"]), mtime=0)
+    file = lines_of(tmp_path, "h.jsonl.gz", data[: len(data) // 2])
+    for _ in range(2):  # from the start, then with the lines known
+        assert [file.line(number) for number in (19, 0)] == [content[19], content[0]]
+        with pytest.raises(FormatError, match="truncated"):
+            file.line(20)
+        with pytest.raises(FormatError, match="truncated"):
+            list(file.lines())
+
+
+@pytest.mark.parametrize("more", [b"more", b"\0" * 600 + b"x", b"\0" * 600, b"\r\n"])
+def test_bytes_after_the_gzip_data_are_ignored_and_noted(tmp_path: Path, more: bytes) -> None:
+    file = lines_of(tmp_path, "h.jsonl.gz", gzip.compress(b"a\nb", mtime=0) + more)
+    assert list(file.lines()) == [(0, b"a"), (1, b"b")]
+    assert file.line(1) == b"b"
+    assert file.trailing == bool(more.strip(b"\0"))
 
 
 def bomb(pattern: bytes, size: int) -> bytes:

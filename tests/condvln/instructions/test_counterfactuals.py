@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from condvln.instructions import LabelPriors
-from condvln.instructions.counterfactuals import counterfactual_group, group_id, swapped
+from condvln.instructions.sampling import counterfactual_group, group_id, swapped
 from condvln.labels import vocabulary
 from condvln.seeding import Draws
 from schemas.config import InstructionCell, Thresholds

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from condvln.instructions.degeneracy import REASONS, degeneracies, idle_conditions, outcomes
+from condvln.instructions.degeneracy import RULES, degeneracies, idle_conditions, outcomes
 from condvln.labels import vocabulary
 from schemas.program import (
     CATEGORIES,
@@ -139,7 +139,7 @@ def test_rules(name: str, case: Program, reasons: tuple[str, ...]) -> None:
 
 
 def test_every_rule_is_shown_at_work() -> None:
-    assert {reason for _, _, reasons in CASES for reason in reasons} == set(REASONS)
+    assert {reason for _, _, reasons in CASES for reason in reasons} == set(RULES)
 
 
 @pytest.mark.parametrize("category", CATEGORIES)

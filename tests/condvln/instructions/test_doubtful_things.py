@@ -18,15 +18,13 @@ from hypothesis import strategies as st
 from shapely import Polygon
 from shapely import box as rectangle
 
-from condvln.instructions.borders import NO_BORDER, borders, share_inside
 from condvln.instructions.conditions import ConditionPool
-from condvln.instructions.likeness import mistakable, parts, twins
+from condvln.instructions.likeness import NO_BORDER, borders, mistakable, parts, share_inside, twins
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
 from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
-from condvln.labels.confusion import also_called
-from condvln.labels.fixtures import fixtures_of, required_in
+from condvln.labels.lists import also_called, fixtures_of, required_in
 from condvln.relations import relate_room, text_facts
 from condvln.scene import Room, RoomArrays, Scene, SceneObject
 from condvln.verify.phrases import Named, Phrase
@@ -308,7 +306,6 @@ def test_conditions_ask_for_no_fixture_of_a_scan_with_either_truth() -> None:
     asked = {}
     for family in ("gibson", "procthor"):
         pool = ConditionPool.of(referents([FRIDGE, SINK, PLANT], family), bits, ["bed", "oven"], vocabulary).presence
-        assert pool is not None
         asked[family] = {truth: {q.label for q in questions} for truth, questions in pool.questions.items()}
     assert asked["gibson"] == {True: {"plant"}, False: {"bed"}}
     assert asked["procthor"] == {True: {"plant", "refrigerator", "sink"}, False: {"bed", "oven"}}
@@ -384,7 +381,18 @@ TABLE = thing("table", "coffee table", (0.085, 0.0, 1.125), (1.335, 0.4, 1.915))
 
 
 @pytest.mark.parametrize(
-    ("middle", "denied"), [((), True), ((CARPET,), False), ((TABLE,), False), ((replace(TABLE, label="table"),), True)]
+    ("middle", "denied"),
+    [
+        ((), True),
+        ((CARPET,), False),
+        ((TABLE,), False),
+        ((replace(TABLE, label="table"),), True),
+        # Up to 0.25 m from the rug, and up to 1.5 m from the coffee table; the seat begins at 3.255.
+        ((thing("rug", "rug", (-1.06, -0.01, 0.325), (1.58, 0.01, 3.255 - 0.24)),), False),
+        ((thing("rug", "rug", (-1.06, -0.01, 0.325), (1.58, 0.01, 3.255 - 0.26)),), True),
+        ((thing("table", "coffee table", (0.085, 0.0, 1.125), (1.335, 0.4, 3.255 - 1.49)),), False),
+        ((thing("table", "coffee table", (0.085, 0.0, 1.125), (1.335, 0.4, 3.255 - 1.51)),), True),
+    ],
 )
 def test_in_a_seating_group_nothing_is_said_to_be_not_close(middle: Sequence[SceneObject], denied: bool) -> None:
     things = [COUCH, SEAT, *middle]

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.instructions import array_file
-from condvln.instructions.array_file import ArrayFile
-from condvln.instructions.expected_draws import FULL_MASS, ExpectedDraws, fitted_octaves
-from condvln.instructions.statement_rows import numbered, of_each
+from condvln.instructions import balance
+from condvln.instructions.balance import ArrayFile
+from condvln.instructions.expected_draws import FULL_MASS, ExpectedDraws, fitted_log_factors
+from condvln.instructions.statement_counts import numbered, of_each
 
 PRESENCE = 2
 """The group of presence; 0 and 1 are groups of predicates."""
@@ -133,8 +133,8 @@ def test_factors_do_not_depend_on_blocks(rows: list[Occurrence], cuts: set[int],
     bounds = [0, *sorted(cuts), 5]
     parts = [[o for o in rows if low <= o.scene < high] for low, high in itertools.pairwise(bounds)]
     blocks = [draws_of(part) for part in parts if part]
-    whole = fitted_octaves([draws_of(rows)], excess, added)
-    assert fitted_octaves(blocks, excess, added).tolist() == whole.tolist()
+    whole = fitted_log_factors([draws_of(rows)], excess, added)
+    assert fitted_log_factors(blocks, excess, added).tolist() == whole.tolist()
 
 
 @pytest.mark.parametrize("aimed", [0.0, 0.9])
@@ -148,8 +148,8 @@ def test_the_excess_is_that_of_a_coin(aimed: float) -> None:
     draws = draws_of(rows)
     own, signs = draws.code // 2, np.where(draws.code % 2, 1, -1)
     wanted = np.where(np.arange(6) % 2, -aimed, aimed)
-    octaves = fitted_octaves([draws], wanted)
-    drawn = draws.expected(draws.weights * np.exp2(signs * octaves[own]))
+    log_factors = fitted_log_factors([draws], wanted)
+    drawn = draws.expected(draws.weights * np.exp2(signs * log_factors[own]))
     before = draws.expected(draws.weights)
     for statement in range(6):
         of = own == statement
@@ -157,18 +157,18 @@ def test_the_excess_is_that_of_a_coin(aimed: float) -> None:
         found = (signs * drawn)[of].sum() / drawn[of].sum()
         assert found == pytest.approx(wanted[statement] * coin, abs=1e-6)
     assert abs((signs * before)[own == 0].sum()) > 0.2 * before[own == 0].sum(), "it was uneven"
-    assert fitted_octaves([draws], wanted, 1e9) == pytest.approx(0.0, abs=1e-6), "added scenes keep the weights"
+    assert fitted_log_factors([draws], wanted, 1e9) == pytest.approx(0.0, abs=1e-6), "added scenes keep the weights"
 
 
 def test_an_iterator_is_refused() -> None:
     draws = draws_of([Occurrence(0, 0, 0, False, 0, True, 0.5)])
     with pytest.raises(TypeError, match="many times"):
-        fitted_octaves(iter([draws]), np.zeros(1))
+        fitted_log_factors(iter([draws]), np.zeros(1))
 
 
 @pytest.mark.parametrize("in_memory", [1, 1 << 20])
 def test_arrays_are_read_as_often_as_wanted(in_memory: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(array_file, "IN_MEMORY", in_memory)
+    monkeypatch.setattr(balance, "IN_MEMORY", in_memory)
     file = ArrayFile(2)
     assert [*file] == []
     given_ = [(np.arange(3), np.array([], np.int64)), (np.array([-5]), np.array([2**31 - 1, -(2**31)]))]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.instructions.informative import informative_weights, label_weights
+from condvln.instructions.balance import informative_weights, label_weights
 from condvln.instructions.priors import PRIORS
 from schemas.config.constants import EVIDENCE, STAGINGS
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from condvln.instructions.binding import findings, leaf_by_listener
 from condvln.instructions.language import LANGUAGES, Language, _template, language
 from condvln.instructions.rendering import HEADINGS, heading_name, preamble, voice_of
+from condvln.language.binding import findings
 from schemas.errors import UsageError
 from schemas.program import CATEGORIES, SHAPES, Category
 
@@ -130,8 +130,7 @@ def test_agreeing_with_a_denial_is_found() -> None:
 def test_the_lint_tells_leaves_apart_by_truths() -> None:
     words = language("en")
     template = _template({"voices": "brief", "text": "If {A}, {x}. If not, {y}."}, "simple")
-    assert leaf_by_listener(words, template, [True]) == [0]
-    assert leaf_by_listener(words, template, [False]) == [1]
+    assert not list(findings(words, "simple", template))
     turned = replace(template, pieces=tuple(template.pieces[k] for k in (0, 1, 2, 5, 4, 3, 6)))
     assert [f.template for f in findings(words, "simple", turned)], "leaves exchanged"
 

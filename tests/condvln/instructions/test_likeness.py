@@ -10,10 +10,10 @@ import pytest
 from condvln.instructions.likeness import called_counters, doubles, fallen, look_alikes, mistakable
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
-from condvln.labels.sizes import plausible_sizes
+from condvln.labels.lists import plausible_sizes
 from condvln.relations import relate_room, text_facts
 from condvln.scene import MeshPart, Room, RoomArrays, SceneObject, round_mm
-from condvln.scene.quaternions import rotation_y
+from condvln.scene.rotations import rotation_y
 from condvln.verify.likeness import has_fallen, is_odd_sized, looks_like, may_be_one, passes_for_a_counter
 from condvln.verify.surroundings import Thing
 from condvln.verify.words import words

@@ -68,7 +68,7 @@ def test_automated_graphs_are_asked_about_what_is_there(real_data: Path, facts_m
         pytest.skip(f"no gibson in {real_data}")
     scene = open_source("gibson", real_data / "gibson", absence="never").read("automated/Oyens")
     facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
-    samplers = [made_sampler(scene, facts, bits, per_category={"simple": 12}, seed=seed) for seed in range(6)]
+    samplers = [made_sampler(scene, facts, bits, per_category={"simple": 12}, seed=seed) for seed in range(24)]
     programs = [program for sampler in samplers for program in sampler.candidates("simple")]
     # A room with few statements is asked another one less often where a stop is what was to be asked about: with one
     # seed there may be none.

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from condvln.instructions.balance import SHARED_WORD_WEIGHT, RoomWords
 from condvln.instructions.predicates import PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, meant_by, object_refs, room_refs
-from condvln.instructions.tilts import SHARED_WORD_WEIGHT, RoomWords
 from condvln.labels import vocabulary
-from condvln.labels.roles import labels_with_role
+from condvln.labels.lists import labels_with_role
 from condvln.relations import PAIR_PREDICATES
 from condvln.scene import Room, RoomArrays, SceneObject, round_mm
 from schemas.program import SUPERLATIVES, RoomRef

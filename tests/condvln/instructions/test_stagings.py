@@ -13,12 +13,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from condvln.instructions.balance import (
+    MANY_STAGINGS,
+    MANY_STAGINGS_IMBALANCE,
+    UNCHANGED,
+    informative_weights,
+    staging_factors,
+)
 from condvln.instructions.expected_draws import FULL_MASS
-from condvln.instructions.informative import informative_weights
 from condvln.instructions.predicates import GROUP_OF, PREDICATE_GROUPS
 from condvln.instructions.priors import PRIORS
-from condvln.instructions.stagings import COIN_PART, MANY_STAGINGS, UNCHANGED, even_factors
-from condvln.instructions.statement_rows import Statement
+from condvln.instructions.statement_counts import Statement
 from schemas.config import PredicateWeights
 from schemas.config.constants import STAGINGS
 
@@ -77,7 +82,7 @@ def share(draws: list[float]) -> float:
     return sum(draws) / sum(map(abs, draws))
 
 
-def coin_share(draws: list[float]) -> float:
+def fair_imbalance(draws: list[float]) -> float:
     """The share that a coin's excess has on average (its root mean square)."""
     return sum(x * x for x in draws) ** 0.5 / sum(map(abs, draws))
 
@@ -99,14 +104,14 @@ def staged(seed: int, stagings: int = 20) -> list[Truths]:
     ]
 
 
-@pytest.mark.parametrize(("number", "part"), list(COIN_PART._asdict().items()))
+@pytest.mark.parametrize(("number", "part"), list(MANY_STAGINGS_IMBALANCE._asdict().items()))
 @pytest.mark.parametrize("seed", range(5))
 def test_the_excess_is_a_part_of_a_coin_s_and_of_the_truth_in_more_stagings(
     seed: int, number: str, part: float
 ) -> None:
     stagings = staged(seed)
     unfitted = expected(stagings, {})
-    factors = even_factors(table_of(stagings), WEIGHTS)
+    factors = staging_factors(table_of(stagings), WEIGHTS)
     drawn = expected(stagings, {statement: getattr(own, number) for statement, own in factors.items()})
     said = {statement: [truths[statement] for truths in stagings if statement in truths] for statement in drawn}
     clear = [s for s, truths in said.items() if 2 * sum(truths) != len(truths) and any(drawn[s])]
@@ -114,7 +119,7 @@ def test_the_excess_is_a_part_of_a_coin_s_and_of_the_truth_in_more_stagings(
     off = {}
     for s in clear:
         usual = 1 if 2 * sum(said[s]) > len(said[s]) else -1
-        off[s] = abs(share(drawn[s]) - usual * part * coin_share(unfitted[s]))
+        off[s] = abs(share(drawn[s]) - usual * part * fair_imbalance(unfitted[s]))
     draws = {s: sum(map(abs, drawn[s])) for s in clear}
     assert sum(off[s] * draws[s] for s in clear) < 0.08 * sum(draws.values())
 
@@ -137,26 +142,26 @@ def test_a_statement_that_is_false_where_little_else_is() -> None:
     assert len(stagings) >= MANY_STAGINGS
     unfitted = expected(stagings, {})[a]
     assert share(unfitted) < -0.05
-    factors = even_factors(table_of(stagings), WEIGHTS)
+    factors = staging_factors(table_of(stagings), WEIGHTS)
     assert factors[a].one > factors[a].several > 1.25
     excess = [share(expected(stagings, {s: own[k] for s, own in factors.items()})[a]) for k in range(2)]
-    assert all(0.0 < one < 1.5 * coin_share(unfitted) for one in excess)
+    assert all(0.0 < one < 1.5 * fair_imbalance(unfitted) for one in excess)
 
 
 @given(st.integers(0, 10_000), st.integers(1, 6))
 def test_factors_are_the_same_in_any_order_and_finite(seed: int, count: int) -> None:
     stagings = staged(seed, count)
     table = table_of(stagings)
-    factors = even_factors(table, WEIGHTS)
+    factors = staging_factors(table, WEIGHTS)
     assert set(factors) == {statement for truths in stagings for statement in truths}
     assert all(2.0**-10 <= factor <= 2.0**10 for own in factors.values() for factor in own)
     order = random.Random(seed).sample(range(table.num_rows), table.num_rows)
-    assert even_factors(table.take(order), WEIGHTS) == factors
+    assert staging_factors(table.take(order), WEIGHTS) == factors
 
 
 def test_groups_of_weight_0_keep_their_weights() -> None:
     stagings = staged(1)
-    factors = even_factors(table_of(stagings), {**WEIGHTS, "near": 0.0})
+    factors = staging_factors(table_of(stagings), {**WEIGHTS, "near": 0.0})
     assert {factor for statement, factor in factors.items() if statement[2] == "near"} == {UNCHANGED}
     assert len({factor for statement, factor in factors.items() if statement[2] != "near"}) > 5
-    assert even_factors(table_of([]), WEIGHTS) == {}
+    assert staging_factors(table_of([]), WEIGHTS) == {}

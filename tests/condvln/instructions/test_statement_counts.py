@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.instructions.priors import PRIORS
-from condvln.instructions.statement_counts import StatementCounts
-from condvln.instructions.statement_rows import STATEMENT
+from condvln.instructions.statement_counts import STATEMENT, StatementCounts
 from condvln.instructions.statements import anchor_key
 
 LABELS = ("bed", "lamp", "pot + plant", "rug", "vase")

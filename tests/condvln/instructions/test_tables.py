@@ -14,7 +14,7 @@ from condvln.instructions import (
     program_key,
     programs_from_table,
 )
-from condvln.instructions.programs import ProgramParts, composition, program_document
+from condvln.instructions.programs import composition
 from schemas.tables import INSTRUCTIONS
 
 
@@ -36,12 +36,6 @@ def test_programs_survive_their_table(sampled) -> None:
             assert (row["text"], row["words"]) == (("Go to the sofa.", 4) if name in texts else (None, None))
 
 
-def test_a_program_is_written_as_pydantic_writes_it(sampled) -> None:
-    for _, _, _, programs in sampled:
-        for program in programs:
-            assert orjson.loads(orjson.dumps(program_document(program))) == program.model_dump(mode="json")
-
-
 def test_a_table_is_what_arrow_makes_of_the_rows(sampled) -> None:
     for scene, _, _, programs in sampled:
         named = [(f"{k}", program) for k, program in enumerate([*programs, *programs[:3]])]
@@ -49,7 +43,7 @@ def test_a_table_is_what_arrow_makes_of_the_rows(sampled) -> None:
         rows = table.to_pylist()
         assert table.equals(pa.Table.from_pylist(rows, schema=INSTRUCTIONS))
         for (_, program), row in zip(named, rows, strict=True):
-            document = orjson.loads(orjson.dumps(program_document(program)))
+            document = program.model_dump(mode="json")
             assert {name: row[name] for name in document} == document
         assert [row["group_id"] for row in rows[:3]] == [None, "together", None]
     assert instruction_table("empty", []).equals(INSTRUCTIONS.empty_table())
@@ -57,13 +51,12 @@ def test_a_table_is_what_arrow_makes_of_the_rows(sampled) -> None:
 
 def test_a_key_is_the_hash_of_the_canonical_json(sampled) -> None:
     for _, _, _, programs in sampled:
-        parts = ProgramParts()
         for program in programs:
             document = program.model_dump(mode="json")
             for condition in document["conditions"]:
                 del condition["definite"]
             expected = hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
-            assert program_key(program) == program_key(program, parts) == expected
+            assert program_key(program) == expected
 
 
 def test_ids_name_content(sampled) -> None:

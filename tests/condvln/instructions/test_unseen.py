@@ -16,7 +16,7 @@ from condvln.instructions.referents import Referents, object_refs
 from condvln.instructions.statements import statement_truths
 from condvln.labels import vocabulary
 from condvln.scene import RoomArrays
-from condvln.scene.sightings import Sightings
+from condvln.scene.scene import Sightings
 from schemas.program import RoomRef
 from tests.condvln.instructions.test_referents import LABELS, MadeFacts, made_room
 

@@ -1,4 +1,6 @@
-"""A room without a type of its own has the type that shows in what it holds; the verifier decides the same."""
+"""A room without a type of its own has the type that shows in what it holds; the verifier decides the same. What is
+worth going to and worth asking about.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.labels import vocabulary
-from condvln.labels.contents import types_by_contents
+from condvln.labels.lists import UNLISTED, _rows, types_by_contents, worth
 from condvln.verify.words import words
 
 PEWS = ("pew",) * 3
@@ -56,3 +58,16 @@ def test_rooms_with_a_type_keep_it_and_order_does_not_matter(rooms: list[tuple[s
         dict(reversed(types.items())), {name: labels[::-1] for name, labels in held.items()}, vocabulary
     )
     assert turned == found
+
+
+def test_each_label_has_a_worth_between_0_and_1() -> None:
+    rows = [(row["label"], row["room"]) for row in _rows("worth")]
+    assert rows == sorted({*rows}), "each once, in order"
+    assert {label for label, room in rows if not room} == {*vocabulary.labels}
+    assert {label for label, _ in rows} == {*vocabulary.labels}
+    assert {room for _, room in rows} <= {"", *vocabulary.room_labels}
+    assert all(0.0 <= value <= 1.0 for row in rows for value in worth(*row))
+    assert worth("no such label", "kitchen") == UNLISTED
+    assert worth("refrigerator", "kitchen").presence < worth("refrigerator", "garage").presence
+    for silly in ("pen", "plunger", "faucet", "potato", "toilet paper roll", "light switch"):
+        assert worth(silly, "bathroom").goto == 0.0

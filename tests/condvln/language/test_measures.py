@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.language.measures import (
+from condvln.language.report import (
     BANNED,
     COMPASS_WORDS,
     EGOCENTRIC_WORDS,

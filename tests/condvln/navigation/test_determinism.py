@@ -56,7 +56,7 @@ def digest(pathfinder: Pathfinder, seed: int) -> str:
         pathfinder.try_steps(starts, starts + np.float32(0.2)),
         pathfinder.try_steps(starts, starts + np.float32(0.2), sliding=False),
         np.array([pathfinder.distance_to_closest_obstacle(point) for point in starts[:40]]),
-        pathfinder.top_down_view(0.1, float(low[1]) + 0.2),
+        pathfinder.get_topdown_view(0.1, float(low[1]) + 0.2),
         *(path.points for path in [*paths, *single, *multi]),
         np.array([path.geodesic_distance for path in [*paths, *single, *multi]]),
     ]

@@ -45,17 +45,9 @@ def check_walk(follower: Follower, route: FollowedRoute, start: np.ndarray, head
     begins = [(np.float32(start), heading), (aside, heading + 1.0), (np.float32(start), heading)]
     alone = [follower.follow(*begin, goals) for begin in begins]
     starts, headings = (list(part) for part in zip(*begins, strict=True))
-    assert follower.lengths(starts, headings, [goals] * 3) == [(len(one.actions), one.outcome) for one in alone]
-    together = follower.places(starts, headings, [one.actions for one in alone])
-    for one, found in zip(alone, together, strict=True):
-        np.testing.assert_array_equal(found, one.locations)
-    both = [np.reshape(goals, (-1, 3)), np.reshape(goals, (-1, 3))[-1:]]
-    for one, found in zip(
-        [follower.follow(start, heading, own) for own in both], follower.follow_each(start, heading, both), strict=True
-    ):
-        for name in ("actions", "locations", "arrivals"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(one, name))
-        assert (found.distance_to_goal, found.outcome) == (one.distance_to_goal, one.outcome)
+    ends = np.reshape(goals, (-1, 3))
+    asked = np.tile(ends, (3, 1)), len(ends) * np.arange(1, 4)
+    assert follower.lengths(starts, headings, *asked) == [(len(one.actions), one.outcome) for one in alone]
     # Each goal is met on the way, in order.
     assert np.all(np.diff(route.arrivals) >= 0)
     for goal, arrival in zip(goals.reshape(-1, 3), route.arrivals, strict=True):
@@ -103,9 +95,9 @@ def test_walks_on_every_real_navmesh_arrive(real_data: Path, space: ActionSpace,
         pathfinder = Pathfinder.load(file)
         if pathfinder.navigable_area == 0:
             continue
-        points = pathfinder.get_random_navigable_points(60, 3)
+        points = pathfinder.get_random_navigable_points(16, 3)
         follower = Follower(pathfinder, space, sliding=sliding)
-        for number, (start, end) in enumerate(zip(points[:30], points[30:], strict=True)):
+        for number, (start, end) in enumerate(zip(points[:8], points[8:], strict=True)):
             if np.isfinite(pathfinder.geodesic_distance(start, end)):
                 route = follower.follow(start, 0.7 * number, end)
                 check_walk(follower, route, start, 0.7 * number, end)

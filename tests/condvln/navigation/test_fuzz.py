@@ -27,7 +27,7 @@ from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import NavMeshTile
 from schemas.errors import FormatError, InputError
 
-SAMPLE, SOAK = 800, 12_000
+SAMPLE, SOAK = 800, 4_000
 MAX_GROWTH = 400 * 1024  # kilobytes of memory that a whole run may add
 INSIDE = "CONDVLN_FUZZ_INSIDE"
 

@@ -48,16 +48,6 @@ def test_paths(golden: tuple[Pathfinder, dict[str, Any]]) -> None:
         np.testing.assert_array_equal(path.points, single(case["points"]).reshape(-1, 3))
 
 
-def test_one_query_at_a_time_gives_the_batch(golden: tuple[Pathfinder, dict[str, Any]]) -> None:
-    pathfinder, answers = golden
-    for case in answers["find_path"][:40]:
-        path = pathfinder.find_path(case["start"], case["end"])
-        expected = np.inf if case["geodesic_distance"] is None else case["geodesic_distance"]
-        assert np.float32(path.geodesic_distance) == np.float32(expected)
-        assert pathfinder.geodesic_distance(case["start"], case["end"]) == path.geodesic_distance
-        np.testing.assert_array_equal(path.points, single(case["points"]).reshape(-1, 3))
-
-
 def test_snaps(golden: tuple[Pathfinder, dict[str, Any]]) -> None:
     pathfinder, answers = golden
     cases = answers["snap_point"]

@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.navigation.connectivity import read_connectivity
-from condvln.navigation.graph_pathfinder import GraphPathfinder
+from condvln.navigation.graph_pathfinder import GraphPathfinder, read_connectivity
 from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError, InputError, MissingFileError, UsageError
 
@@ -145,10 +144,10 @@ def put(where: list[Any], value: Any) -> Callable[[list[Any]], Any]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda scan: {"a": 1}, "not a list"),
+        (lambda scan: {"a": 1}, "an array is expected"),
         (lambda scan: [], "not a list"),
         (lambda scan: [{}] * 2001, "not a list"),
-        (put([1], 5), r"\[1\]: not an object"),
+        (put([1], 5), r"\[1\]: an object is expected"),
         (put([1, "image_id"], ""), r"\[1\].image_id"),
         (put([1, "image_id"], "a"), r"\[0\].image_id: viewpoint 'a' occurs twice"),
         (put([1, "pose"], [1.0] * 15), r"\[1\].pose"),
@@ -175,6 +174,10 @@ def test_files_that_lie(
 def test_files_that_are_no_json(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError):
         read_connectivity(tmp_path / "none.json")
+    (tmp_path / "one.json").symlink_to(tmp_path / "other.json")
+    (tmp_path / "other.json").symlink_to(tmp_path / "one.json")
+    with pytest.raises(MissingFileError):
+        read_connectivity(tmp_path / "one.json")
     for content in (b"", b"[1, 2", b"\xff\xfe", b"[NaN]", b"[" * 100_000):
         (tmp_path / "bad.json").write_bytes(content)
         with pytest.raises(FormatError):

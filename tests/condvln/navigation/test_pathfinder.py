@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
-from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.settings import NavMeshSettings
 from schemas.errors import InputError, UsageError
 
@@ -100,10 +98,10 @@ def test_islands_part_what_no_edge_joins(two_islands: Pathfinder) -> None:
     # Snapping to a chosen island passes over the nearer one.
     between = [2.4, 0.5, 0.5]
     np.testing.assert_array_equal(two_islands.snap_point(between), np.float32([1, 0, 0.5]))
-    np.testing.assert_array_equal(two_islands.snap_point(between, island=0), np.float32([1, 0, 0.5]))
-    np.testing.assert_array_equal(two_islands.snap_point(between, island=1), np.float32([4, 1, 0.5]))
+    np.testing.assert_array_equal(two_islands.snap_point(between, island_index=0), np.float32([1, 0, 0.5]))
+    np.testing.assert_array_equal(two_islands.snap_point(between, island_index=1), np.float32([4, 1, 0.5]))
     with pytest.raises(UsageError, match="there is no island 2"):
-        two_islands.snap_point(small, island=2)
+        two_islands.snap_point(small, island_index=2)
 
 
 def test_navigability_tolerances(l_shape: Pathfinder) -> None:
@@ -153,15 +151,15 @@ def test_distance_to_walls_is_the_closed_form(l_shape: Pathfinder, x: float, z: 
 
 
 def test_top_down_view_shows_the_l(l_shape: Pathfinder) -> None:
-    view = l_shape.top_down_view(0.1, 0.0)
+    view = l_shape.get_topdown_view(0.1, 0.0)
     assert view.shape == (40, 40)
     centres = (np.arange(40) * 0.1)[None, :], (np.arange(40) * 0.1)[:, None]
     expected = ~((centres[0] > 2.05) & (centres[1] > 2.05))
     np.testing.assert_array_equal(view, expected)
-    assert not l_shape.top_down_view(0.1, 2.0).any()
+    assert not l_shape.get_topdown_view(0.1, 2.0).any()
     for bad in (0.0, -1.0, float("nan"), 1e-9):
         with pytest.raises(UsageError, match="per pixel"):
-            l_shape.top_down_view(bad, 0.0)
+            l_shape.get_topdown_view(bad, 0.0)
 
 
 def test_bounds_settings_and_save(l_shape: Pathfinder, tmp_path: Path) -> None:
@@ -174,10 +172,6 @@ def test_bounds_settings_and_save(l_shape: Pathfinder, tmp_path: Path) -> None:
     again = Pathfinder.load(tmp_path / "l.navmesh")
     assert again.navmesh.to_bytes() == l_shape.navmesh.to_bytes()
     assert again.find_path([3.5, 0, 1.0], [1.0, 0, 3.5]).geodesic_distance == pytest.approx(3.605551, abs=1e-5)
-
-
-def test_pathfinder_satisfies_the_protocol(l_shape: Pathfinder) -> None:
-    assert isinstance(l_shape, PathfinderProtocol)
 
 
 def test_shapes_of_arguments_are_checked(l_shape: Pathfinder) -> None:
@@ -207,11 +201,3 @@ def test_floors_that_are_no_floors(polygons: list[list[int]], message: str) -> N
         tile_of_polygons(VERTICES, polygons)
     with pytest.raises(InputError, match="NaN"):
         tile_of_polygons([[np.nan, 0, 0], *VERTICES[1:]], [[0, 1, 2]])
-
-
-def test_threads_share_a_pathfinder(home: Pathfinder, home_points: np.ndarray) -> None:
-    expected = home.distance_table(home_points[:40], home_points[40:80])
-    with ThreadPoolExecutor(4) as threads:
-        tables = list(threads.map(lambda _: home.distance_table(home_points[:40], home_points[40:80]), range(8)))
-    for table in tables:
-        np.testing.assert_array_equal(table, expected)

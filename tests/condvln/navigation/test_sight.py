@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-import gc
 import math
-import weakref
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from condvln.navigation import occluders as occluders_module
-from condvln.navigation.kernels.first_hits import blocked_rays
-from condvln.navigation.occluders import BoxOccluders, MeshOccluders, wall_boxes
-from condvln.navigation.sight import (
-    SightTarget,
-    View,
-    eyes_at,
-    first_sights,
-    in_view,
-    lines_in_view,
-    visible_points,
-    visible_shares,
-)
+from condvln.navigation.occluders import BoxOccluders, MeshOccluders, distances_to_hits
+from condvln.navigation.sight import Recognition, View, eyes_at, visible_extent, visible_points
 from condvln.navigation.surface_samples import box_samples
 from schemas.errors import FormatError, UsageError
 
@@ -48,6 +34,11 @@ def box_mesh(low, high) -> tuple[np.ndarray, np.ndarray]:
     return corner, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
+def boxes_of(aabbs) -> BoxOccluders:
+    low, high = np.moveaxis(np.asarray(aabbs, float), 1, 0)
+    return BoxOccluders((low + high) / 2, (high - low) / 2)
+
+
 def wall_with_gap_mesh() -> MeshOccluders:
     """The plane z = -2 with a gap from x = -0.5 to 0.5."""
     left = rectangle([-9, 0, -2], [-0.5, 0, -2], [-0.5, 3, -2], [-9, 3, -2])
@@ -56,7 +47,7 @@ def wall_with_gap_mesh() -> MeshOccluders:
 
 
 def wall_with_gap_boxes() -> BoxOccluders:
-    return wall_boxes([[[-9, -2], [-0.5, -2]], [[9, -2], [0.5, -2]]], 0, 3, thickness=1e-4)
+    return boxes_of([[[-9, 0, -2.0001], [-0.5, 3, -1.9999]], [[0.5, 0, -2.0001], [9, 3, -1.9999]]])
 
 
 @pytest.mark.parametrize("wall", [wall_with_gap_mesh, wall_with_gap_boxes])
@@ -124,7 +115,7 @@ def test_range(distance: float, seen: bool) -> None:
 )
 def test_a_solid_shows_the_faces_turned_to_the_eye(kind: str, eye, faces) -> None:
     low, high = np.array([-1.0, -0.5, -0.25]), np.array([1.0, 0.5, 0.25])
-    around = mesh_of(box_mesh(low, high)) if kind == "mesh" else BoxOccluders.of_aabbs([[low, high]])
+    around = mesh_of(box_mesh(low, high)) if kind == "mesh" else boxes_of([[low, high]])
     samples = box_samples((low + high) / 2, (high - low) / 2, count=300, seed=2)
     # Within TOUCH of an edge a sample of the next face counts as seen.
     samples = samples[((np.abs(samples) > high - 0.05).sum(axis=1)) == 1]
@@ -134,18 +125,16 @@ def test_a_solid_shows_the_faces_turned_to_the_eye(kind: str, eye, faces) -> Non
         turned |= samples[:, axis] == (high if face[0] == "+" else low)[axis]
     seen = visible_points(around, [eye], samples, FAR, own=np.zeros(len(samples), int))[0]
     np.testing.assert_array_equal(seen, turned)
-    shares = visible_shares(around, [eye], [SightTarget(samples, 0)], FAR)
-    assert shares[0, 0] == pytest.approx(turned.mean())
 
 
 def test_a_box_around_the_eye_or_the_point_hides_nothing() -> None:
     shelf = [[0, 0, -3], [2, 2, -2]]
     book, eye = np.array([[1.0, 1.0, -2.8]]), np.array([[1.0, 1.0, 0.0]])
-    assert visible_points(BoxOccluders.of_aabbs([shelf]), eye, book)[0, 0]
-    assert visible_points(BoxOccluders.of_aabbs([[[0, 0, -1], [2, 2, 1]]]), eye, book)[0, 0]
-    assert not visible_points(BoxOccluders.of_aabbs([[[0, 0, -2], [2, 2, -1]]]), eye, book)[0, 0]
+    assert visible_points(boxes_of([shelf]), eye, book)[0, 0]
+    assert visible_points(boxes_of([[[0, 0, -1], [2, 2, 1]]]), eye, book)[0, 0]
+    assert not visible_points(boxes_of([[[0, 0, -2], [2, 2, -1]]]), eye, book)[0, 0]
     # Were it the object's own box, the point would lie behind its front.
-    assert not visible_points(BoxOccluders.of_aabbs([shelf]), eye, book, own=[0])[0, 0]
+    assert not visible_points(boxes_of([shelf]), eye, book, own=[0])[0, 0]
 
 
 POINT = st.tuples(st.floats(-4, 4), st.floats(-2, 2), st.floats(-4, 4))
@@ -175,7 +164,7 @@ def test_turning_the_world_changes_nothing(turns: int, heading: float) -> None:
     angle = turns * math.pi / 2
     turn = np.round([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
     view = View(range=6.0, horizontal_fov=90.0)
-    here = visible_points(BoxOccluders.of_aabbs(boxes), eyes, points, view, np.full(8, heading))
+    here = visible_points(boxes_of(boxes), eyes, points, view, np.full(8, heading))
     middle, half = boxes.mean(axis=1), (boxes[:, 1] - boxes[:, 0]) / 2
     turned = BoxOccluders(middle @ turn.T, half, np.broadcast_to(turn, (12, 3, 3)))
     there = visible_points(turned, eyes @ turn.T, points @ turn.T, view, np.full(8, heading + angle))
@@ -187,7 +176,7 @@ def test_batches_give_what_single_looks_give(kind: str, monkeypatch: pytest.Monk
     rng = np.random.default_rng(3)
     low = rng.uniform(-4, 4, (20, 3))
     boxes = np.stack([low, low + rng.uniform(0.5, 2.0, (20, 3))], axis=1)
-    around = mesh_of(*(box_mesh(a, b) for a, b in boxes)) if kind == "mesh" else BoxOccluders.of_aabbs(boxes)
+    around = mesh_of(*(box_mesh(a, b) for a, b in boxes)) if kind == "mesh" else boxes_of(boxes)
     eyes, points = rng.uniform(-5, 5, (15, 3)), rng.uniform(-5, 5, (40, 3))
     whole = visible_points(around, eyes, points, FAR)
     assert 0.1 < whole.mean() < 0.9
@@ -222,17 +211,17 @@ def test_boxes_hide_what_one_of_them_hides(seed: int) -> None:
     np.testing.assert_array_equal(shuffled, every[order])
 
 
-def test_first_sight_along_a_path() -> None:
+def test_sight_along_a_path() -> None:
     """Walking along x before the wall, a point behind the middle of the gap shows when the ray fits through."""
     x = np.arange(-6.0, 6.0, 0.1)
     path = eyes_at(np.stack([x, np.zeros_like(x), np.full_like(x, -1.0)], axis=1))
     assert path[0, 1] == 1.25
-    targets = [SightTarget(np.array([[0.0, 1.25, -3.0]])), SightTarget(np.array([[0.0, 1.25, -1.5]]))]
-    hidden_away = SightTarget(np.array([[0.0, 1.25, -9.0]]))
-    first = first_sights(wall_with_gap_mesh(), path, [*targets, hidden_away], View(range=5.0))
+    points = [[0.0, 1.25, -3.0], [0.0, 1.25, -1.5], [0.0, 1.25, -9.0]]
+    seen = visible_points(wall_with_gap_mesh(), path, points, View(range=5.0))
     # The ray crosses the wall halfway: |x| / 2 < 0.5. Before the wall only the 5 m count.
-    expected = [np.argmax(np.abs(x / 2) < 0.5), np.argmax(np.hypot(x, 0.5) <= 5.0), -1]
-    np.testing.assert_array_equal(first, expected)
+    expected = [np.argmax(np.abs(x / 2) < 0.5), np.argmax(np.hypot(x, 0.5) <= 5.0), 0]
+    np.testing.assert_array_equal(seen.argmax(axis=0), expected)
+    np.testing.assert_array_equal(seen.any(axis=0), [True, True, False])
 
 
 def test_eyes_nowhere_see_nothing() -> None:
@@ -240,8 +229,6 @@ def test_eyes_nowhere_see_nothing() -> None:
     eyes = np.array([[0, 1, 0], [np.nan, np.nan, np.nan], [np.inf, 0, 0]])
     np.testing.assert_array_equal(visible_points(wall, eyes, [[0, 1, -1]])[:, 0], [True, False, False])
     assert visible_points(wall, np.zeros((0, 3)), [[0, 1, -1]]).shape == (0, 1)
-    assert visible_shares(wall, eyes, []).shape == (3, 0)
-    assert first_sights(wall, np.zeros((0, 3)), [SightTarget(np.zeros((1, 3)))]).tolist() == [-1]
 
 
 @pytest.mark.parametrize(
@@ -249,8 +236,6 @@ def test_eyes_nowhere_see_nothing() -> None:
     [
         (FormatError, lambda: MeshOccluders(np.zeros((3, 3)), np.zeros((0, 3), int))),
         (FormatError, lambda: MeshOccluders(np.zeros((3, 3)), [[0, 1, 3]])),
-        (FormatError, lambda: wall_boxes([[[0, 0], [1, np.nan]]], 0, 2)),
-        (FormatError, lambda: wall_boxes([[[0, 0], [1, 0]]], 2, 0)),
         (UsageError, lambda: BoxOccluders([[0, 0, 0]], [[1, -1, 1]])),
         (UsageError, lambda: BoxOccluders([[0, 0, 0]], np.zeros((2, 3)))),
         (UsageError, lambda: View(range=0)),
@@ -259,7 +244,6 @@ def test_eyes_nowhere_see_nothing() -> None:
         (UsageError, lambda: View(pitch=90)),
         (UsageError, lambda: visible_points(wall_with_gap_mesh(), [[0, 0, 0]], [[1, 0, 0]], View(horizontal_fov=90))),
         (UsageError, lambda: visible_points(wall_with_gap_mesh(), [[0, 0, 0]], [[1, 0, 0]], own=[1, 2])),
-        (UsageError, lambda: visible_shares(wall_with_gap_mesh(), [[0, 0, 0]], [SightTarget(np.zeros((0, 3)))])),
     ],
 )
 def test_bad_input(error, call) -> None:
@@ -321,60 +305,71 @@ def test_headroom_fits_the_boxes() -> None:
         BoxOccluders([[0, 0, 0]], [[1, 1, 1]], None, [0.5, 0.5])
 
 
-def test_rays_are_blocked_before_the_plane_of_their_triangle() -> None:
+def test_rays_meet_the_plane_of_their_triangle_within_its_corners() -> None:
     rng = np.random.default_rng(8)
-    triangles = rng.normal(size=(50, 3, 3))
-    triangles[:5] *= [1.0, 0.0, 1.0]  # level, as the rays below: no intersection with the plane
+    triangles = rng.normal(size=(400, 3, 3))
+    triangles[:50] *= [1.0, 0.0, 1.0]  # level, as the rays below: no intersection with the plane
     eyes, direction = rng.normal(size=(2, 400, 3))
     direction[:100, 1] = 0.0
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    first = rng.integers(-1, 50, 400)
-    first[:50] = rng.integers(0, 5, 50)
-    distance = rng.uniform(0, 3, 400)
-    expected = []
-    for eye, way, far, met in zip(eyes, direction, distance, first, strict=True):
-        a, b, c = triangles[met]
+    for eye, way, corners, found in zip(
+        eyes, direction, triangles, distances_to_hits(eyes, direction, triangles), strict=True
+    ):
+        a, b, c = corners
         normal = np.cross(b - a, c - a)
-        along = (triangles[met] - eye) @ way
+        along = (corners - eye) @ way
         facing = normal @ way
         plane = normal @ (a - eye) / facing if facing else along.max()
-        expected.append(met >= 0 and np.clip(plane, along.min(), along.max()) < far - 0.01)
-    np.testing.assert_array_equal(blocked_rays(eyes, direction, distance, triangles, first, 0.01), expected)
-    assert 50 < sum(expected) < 350
+        assert found == pytest.approx(np.clip(plane, along.min(), along.max()), rel=1e-9, abs=1e-9)
 
 
-@given(st.integers(0, 2**32))
-def test_rays_meet_the_triangles_that_trimesh_says(seed: int) -> None:
-    """Some points belong to no triangle; they do not count for embree's scale."""
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(12, 3)) * rng.choice([0.0, 0.1, 1.0, 30.0])
-    points = points.astype(np.float32).astype(np.float64)
-    faces = np.array([rng.permutation(9)[:3] for _ in range(8)])
-    eyes, ways = rng.normal(size=(2, 60, 3)) * 3
-    mesh = trimesh.Trimesh(points, faces, process=False)
-    own = MeshOccluders(points, faces)._caster
-    assert own.mesh.scale == mesh.scale
-    assert own.intersects_first(eyes, ways).tolist() == RayMeshIntersector(mesh).intersects_first(eyes, ways).tolist()
+# -- how large a thing appears -----------------------------------------------------------------------------------------
 
 
-def test_occluders_are_freed_without_a_garbage_collection() -> None:
-    gc.collect()
-    gc.disable()
-    try:
-        occluders = MeshOccluders([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-        assert occluders.hidden(np.array([[0.2, 0.2, -1.0]]), np.array([[0.2, 0.2, 1.0]])).tolist() == [True]
-        seen = weakref.ref(occluders._caster.mesh)
-        del occluders
-        assert seen() is None
-    finally:
-        gc.enable()
+def on_a_sphere(azimuths, elevations) -> np.ndarray:
+    """Points 1 m from the origin at these degrees: azimuth clockwise from -z, elevation upwards."""
+    a, e = np.radians(azimuths), np.radians(elevations)
+    return np.stack([np.sin(a) * np.cos(e), np.sin(e), -np.cos(a) * np.cos(e)], axis=1)
 
 
-@given(st.integers(0, 1000))
-def test_a_view_holds_lines_as_it_holds_all_pairs(seed: int) -> None:
-    draw = np.random.default_rng(seed)
-    eyes, points, headings = draw.uniform(-3, 3, (9, 3)), draw.uniform(-3, 3, (5, 3)), draw.uniform(-7, 7, 9)
-    view = View(range=4.0, horizontal_fov=90.0, vertical_fov=90.0)
-    pairs = in_view(eyes, points, view, headings)
-    lines = lines_in_view(np.repeat(eyes, 5, axis=0), np.tile(points, (9, 1)), view, np.repeat(headings, 5))
-    assert lines.tolist() == pairs.ravel().tolist()
+@given(
+    middle=st.floats(-180.0, 180.0),
+    azimuths=st.lists(st.floats(-89.0, 89.0), min_size=1, max_size=9),
+    tilt=st.floats(-40.0, 40.0),
+    eye=st.tuples(*[st.floats(-5.0, 5.0)] * 3),
+)
+def test_the_extent_is_the_rectangle_of_azimuth_and_elevation_in_any_direction(middle, azimuths, tilt, eye) -> None:
+    """Also across the direction +z, where azimuths change their sign."""
+    elevations = np.linspace(tilt - 3.0, tilt + 3.0, len(azimuths))
+    samples = on_a_sphere(middle + np.array(azimuths), elevations)
+    (found,) = visible_extent([eye], samples + np.array(eye), np.ones((1, len(samples))))
+    wide = np.ptp(azimuths) * np.cos(np.radians(np.abs(elevations).min()))
+    expected = sorted([wide, 6.0 if len(azimuths) > 1 else 0.0])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_what_is_all_round_is_wide_and_what_is_hidden_does_not_count() -> None:
+    ring = on_a_sphere(np.arange(0, 360, 10), np.zeros(36))
+    seen = np.ones((3, 36), bool)
+    seen[1, 5:] = False
+    seen[2] = False
+    np.testing.assert_allclose(visible_extent(np.zeros((3, 3)), ring, seen), [[0, 350], [0, 40], [0, 0]], atol=1e-9)
+    assert visible_extent([[np.nan] * 3], ring, np.zeros((1, 36))).tolist() == [[0, 0]]
+
+
+@given(hidden=st.sets(st.integers(0, 63)), eye=st.tuples(st.floats(-4.0, 4.0), st.just(1.25), st.floats(2.0, 9.0)))
+def test_a_thing_that_is_partly_hidden_never_appears_larger(hidden, eye) -> None:
+    """So an eye that would not recognise the whole thing needs no rays."""
+    samples, seen = box_samples([0, 1, 0], [0.3, 0.5, 0.2]), np.ones((1, 64), bool)
+    whole = visible_extent([eye], samples, seen)
+    seen[0, list(hidden)] = False
+    assert (visible_extent([eye], samples, seen) <= whole + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ("extent", "count", "recognised"),
+    [((2.5, 4.0), 5, True), ((2.4, 9.0), 5, False), ((3.0, 3.9), 5, False), ((9.0, 9.0), 4, False)],
+)
+def test_a_thing_is_recognised_if_enough_of_it_is_seen_and_that_is_large_enough(extent, count, recognised) -> None:
+    rule = Recognition(View(), 0.05, 2.5, 4.0)
+    assert rule.holds(np.arange(100)[None] < count, np.array([extent])).tolist() == [recognised]

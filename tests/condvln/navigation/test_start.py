@@ -15,7 +15,7 @@ HEAVY = {"matplotlib", "pandas", "pyarrow", "ray", "duckdb", "trimesh", "fcl", "
 """Each of them takes a tenth of a second or more to load."""
 
 STARTS = {
-    "a first query": "from condvln.navigation import Pathfinder; Pathfinder.load(path).find_path([1, 0, 1], [1, 0, 3])",
+    "a first query": "from condvln import Pathfinder; Pathfinder.load(path).find_path([1, 0, 1], [1, 0, 3])",
     "condvln navmesh info": "from pathlib import Path; from jobs.navmesh import info; info(Path(path))",
 }
 

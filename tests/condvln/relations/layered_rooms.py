@@ -9,7 +9,7 @@ import numpy as np
 
 from condvln.scene import OrientedBox, SceneObject, round_mm
 from condvln.scene.boxes import aabb_of, box_corners
-from condvln.scene.quaternions import rotation_y
+from condvln.scene.rotations import rotation_y
 
 FURNITURE = ("table", "desk", "bed", "sofa", "chair", "dresser", "trash can", "basket", "sink", "bookshelf")
 CORNERED = ("desk", "sofa", "table", "chair")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from condvln.relations.bearing import BEARING_DEGREES, bearing_status, sighted
+from condvln.relations.directions import BEARING_DEGREES, bearing_status, sighted
 from condvln.scene import SceneObject
 from condvln.verify.standpoint import Standpoint
 from condvln.verify.surroundings import Thing

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.relations.compass import (
+from condvln.relations.directions import (
     CANONICAL,
     COINCIDENT,
     COMPASS,

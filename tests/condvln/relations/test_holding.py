@@ -6,7 +6,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from condvln.relations.holding import closure
+from condvln.relations.stacking import closure
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
@@ -54,22 +53,14 @@ def test_boxes_are_never_further_apart_than_surfaces(real_data: Path, name: str)
         check_scene(scene, meshes)
 
 
-@pytest.mark.parametrize("name", SAMPLE)
-def test_every_edge_re_derives_from_its_own_metrics(
-    real_data: Path, name: str, check_edges: Callable[[pa.Table, Scene], None]
-) -> None:
-    for scene, meshes in scenes(real_data, (name,)):
-        check_edges(relation_table(scene, relate_scene(scene, T, meshes=meshes.world_mesh), T), scene)
-
-
 @pytest.mark.soak
-def test_all_scenes(real_data: Path) -> None:
+def test_scenes_of_every_layout(real_data: Path) -> None:
     count = 0
-    for scene, meshes in scenes(real_data, ("*",)):
+    for scene, meshes in scenes(real_data, ("v3_sc?_staging_?5", "apt_?")):
         if scene.objects:
             check_scene(scene, meshes)
             count += 1
-    assert count == 45
+    assert count == 7
 
 
 def test_surfaces_matter(real_data: Path) -> None:
@@ -86,17 +77,17 @@ def test_surfaces_against_points_sampled_on_them(real_data: Path) -> None:
     room = check_scene(scene, meshes)
     asked = np.argwhere(np.triu(room.surface > 0, k=1))
     assert len(asked) >= 20
-    points: dict[int, np.ndarray] = {}
+    trees: dict[int, cKDTree] = {}
     for k in np.unique(asked):
         mesh = meshes.world_mesh(room.objects.objects[k])
         if mesh is not None:
             shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
             sampled = trimesh.sample.sample_surface(shape, 20_000, seed=1)[0]
-            points[k] = np.concatenate([mesh.vertices, sampled])
+            trees[k] = cKDTree(np.concatenate([mesh.vertices, sampled]))
     compared = 0
     for i, j in asked:
-        if i in points and j in points:
-            nearest = cKDTree(points[i]).query(points[j])[0].min()
+        if i in trees and j in trees:
+            nearest = trees[i].query(trees[j].data, distance_upper_bound=room.surface[i, j] + 0.05)[0].min()
             assert -0.0006 <= nearest - room.surface[i, j] <= 0.04, room.objects.object_ids[i]
             compared += 1
     assert compared >= 20

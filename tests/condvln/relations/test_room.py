@@ -17,15 +17,6 @@ T = Thresholds()
 Maker = Callable[..., SceneObject]
 RoomOf = Callable[[Sequence[SceneObject]], RoomArrays]
 
-OPPOSITE = {
-    "near": "near",
-    "far from": "far from",
-    "higher than": "lower than",
-    "lower than": "higher than",
-    "above": "below",
-    "below": "above",
-}
-
 
 def moved(item: SceneObject, turn: np.ndarray, shift: np.ndarray) -> SceneObject:
     """An object turned by a multiple of 90° and moved."""
@@ -111,22 +102,6 @@ def test_degenerate_and_coincident_pairs(make: Maker, room_of: RoomOf) -> None:
     assert relations.degenerate[0].tolist() == [False, True, True, True, False]
 
 
-def test_opposites_hold_both_ways(furnished: list[SceneObject], room_of: RoomOf) -> None:
-    relations = relate_room(room_of(furnished), T)
-    for predicate, opposite in OPPOSITE.items():
-        np.testing.assert_array_equal(relations.semantic[predicate], relations.semantic[opposite].T)
-    np.testing.assert_array_equal(relations.degenerate, relations.degenerate.T)
-    for i, j in np.argwhere(relations.canonical >= 0):
-        there, back = CANONICAL[relations.canonical[i, j]], CANONICAL[relations.canonical[j, i]]
-        assert back == opposite_direction(there)
-    assert (relations.canonical < 0).sum() == len(relations) + 2  # the diagonal, and the two that coincide
-
-
-def opposite_direction(predicate: str) -> str:
-    words = {"north": "south", "south": "north", "east": "west", "west": "east", "up": "down", "down": "up"}
-    return "-".join(words.get(w, w) for w in predicate.removesuffix(" of").split("-")) + " of"
-
-
 def test_a_quarter_turn_turns_every_sector_by_two(furnished: list[SceneObject], room_of: RoomOf) -> None:
     """Counter-clockwise from above takes east (+X) to north (−Z)."""
     quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
@@ -141,30 +116,6 @@ def test_a_quarter_turn_turns_every_sector_by_two(furnished: list[SceneObject], 
     np.testing.assert_array_equal(after.surface, before.surface)
     for predicate in SEMANTIC:
         np.testing.assert_array_equal(after.semantic[predicate], before.semantic[predicate])
-
-
-@pytest.mark.parametrize("shift", [(0.1, 0.2, 0.3), (-1234.567, 8.9, 1e4)])
-def test_moving_a_scene_changes_nothing(
-    furnished: list[SceneObject], room_of: RoomOf, shift: tuple[float, float, float]
-) -> None:
-    before = relate_room(room_of(furnished), T)
-    after = relate_room(room_of([moved(o, np.eye(3), np.array(shift)) for o in furnished]), T)
-    assert_same(before, after)
-
-
-def test_order_of_objects_changes_nothing(furnished: list[SceneObject], room_of: RoomOf) -> None:
-    order = np.random.default_rng(5).permutation(len(furnished))
-    assert_same(relate_room(room_of(furnished), T), relate_room(room_of([furnished[k] for k in order]), T))
-
-
-def assert_same(a: RoomRelations, b: RoomRelations) -> None:
-    assert a.objects.object_ids == b.objects.object_ids
-    for field in a.metrics.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(a.metrics, field), getattr(b.metrics, field), err_msg=field)
-    for field in ("surface", "canonical", "degenerate"):
-        np.testing.assert_array_equal(getattr(a, field), getattr(b, field), err_msg=field)
-    for predicate in SEMANTIC:
-        np.testing.assert_array_equal(a.semantic[predicate], b.semantic[predicate], err_msg=predicate)
 
 
 @pytest.mark.parametrize("count", [0, 1])

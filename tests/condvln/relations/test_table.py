@@ -15,7 +15,6 @@ from condvln.relations import RoomRelations, relate_scene, relation_table, text_
 from condvln.scene import Scene, SceneObject
 from schemas.config import Thresholds
 from schemas.errors import StoreError
-from schemas.relation import RelationRecord
 from schemas.tables import RELATIONS, SORT_KEYS
 
 SceneOf = Callable[[Sequence[SceneObject]], Scene]
@@ -62,8 +61,10 @@ def test_schema_order_and_containment(table: pa.Table, scene: Scene) -> None:
     assert [(r["subject"], r["predicate"], r["target"]) for r in contained] == [
         ("room", "contains", o.object_id) for o in sorted(scene.objects, key=lambda o: o.object_id)
     ]
-    for row in table.to_pylist():
-        RelationRecord.model_validate({**row, "delta": row["delta"] and tuple(row["delta"].values())})
+    for column in (
+        name for name, kind in zip(table.column_names, table.schema.types, strict=True) if kind == pa.float64()
+    ):
+        assert np.isfinite(table[column].drop_null().to_numpy()).all(), column
 
 
 def test_round_trip(table: pa.Table, scene: Scene) -> None:
@@ -121,10 +122,3 @@ def test_a_scene_without_objects_has_an_empty_table(scene_of: SceneOf) -> None:
     assert table.num_rows == 0
     assert table.schema.equals(RELATIONS)
     assert to_networkx(empty, relate_scene(empty, Thresholds()), Thresholds()).number_of_nodes() == 1
-
-
-def test_the_table_does_not_depend_on_the_order_of_objects(
-    table: pa.Table, furnished: list[SceneObject], scene_of: SceneOf
-) -> None:
-    backwards = scene_of(furnished[::-1])
-    assert relation_table(backwards, relate_scene(backwards, Thresholds()), Thresholds()).equals(table)

@@ -195,9 +195,6 @@ def test_a_larger_margin_is_safer(make: Maker, room_of: RoomOf) -> None:
         assert margins[0] < margins[-1], predicate
 
 
-ARM_DEPTH = 0.6
-
-
 @pytest.fixture
 def counter(make: Maker) -> SceneObject:
     """A counter of 3 × 3 m with arms of 0.6 m along its north and its east side; what is south-west of them is free."""

@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 
 from condvln.labels import vocabulary
-from condvln.relations import CANONICAL, relate_room
 from condvln.samples import FAMILIES, FORMS, Layout, make_layouts, make_samples
-from condvln.samples.native_labels import native_labels
+from condvln.samples.catalogue import native_labels
 from condvln.samples.thor_metadata import FLOOR_PLANS
-from condvln.scene import RoomArrays
+from condvln.scene import Scene
 from condvln.sources.registry import open_source
-from schemas.config import Thresholds
 
 SCENES, SEED = 3, 21
 
@@ -38,6 +36,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for family in FORMS:
         make_samples(base / family, family=family, scenes=SCENES, seed=SEED)
     return base
+
+
+Scenes = dict[str, list[Scene]]
+
+
+def read_from(folder: Path) -> Scenes:
+    """All scenes of each family; none has a fault."""
+    found: Scenes = {}
+    for family in FAMILIES:
+        source = open_source(family, folder / family)
+        assert all(handle.fault is None for handle in source.handles()), family
+        found[family] = [source.read(handle.scene_id) for handle in source.handles()]
+    return found
+
+
+@pytest.fixture(scope="module")
+def scenes(folder: Path) -> Scenes:
+    return read_from(folder)
 
 
 def _digests(folder: Path) -> dict[str, str]:
@@ -73,16 +89,12 @@ def test_native_words_mean_the_same_thing(family: str) -> None:
 
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))
-def test_read_back_they_are_the_same_apartments(family: str, folder: Path, layouts: dict[str, Layout]) -> None:
+def test_read_back_they_are_the_same_apartments(family: str, scenes: Scenes, layouts: dict[str, Layout]) -> None:
     """Each object's room type, label and box come back, up to where the format puts its origin."""
-    source = open_source(family, folder / family)
-    handles = source.handles()
-    assert all(handle.fault is None for handle in handles), [handle.fault for handle in handles]
-    scenes = [source.read(handle.scene_id) for handle in handles]
-    in_text = {s.scene_id: [o for o in s.objects if vocabulary.fit_for_text(o.label)] for s in scenes}
+    in_text = {s.scene_id: [o for o in s.objects if vocabulary.fit_for_text(o.label)] for s in scenes[family]}
     read = Counter(
         (room.label if family != "robothor" else "", o.label, *_shape(o.aabb))
-        for s in scenes
+        for s in scenes[family]
         for room in s.rooms
         for o in in_text[s.scene_id]
         if o.room_id == room.room_id
@@ -98,10 +110,9 @@ def test_read_back_they_are_the_same_apartments(family: str, folder: Path, layou
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))
 def test_read_back_the_distances_between_objects_are_the_same(
-    family: str, folder: Path, layouts: dict[str, Layout]
+    family: str, scenes: Scenes, layouts: dict[str, Layout]
 ) -> None:
     """Frames may differ by a translation; turned, mirrored or mixed up axes would show in directions."""
-    source = open_source(family, folder / family)
     offsets = []
     made = [{room.room_id: layout.in_room(room.room_id) for room in layout.rooms} for layout in layouts.values()]
     known = {
@@ -109,8 +120,7 @@ def test_read_back_the_distances_between_objects_are_the_same(
         for rooms in made
         for pieces in (rooms.values() if family != "robothor" else [tuple(p for r in rooms.values() for p in r)])
     }
-    for handle in source.handles():
-        scene = source.read(handle.scene_id)
+    for scene in scenes[family]:
         for room in scene.rooms:
             objects = [o for o in scene.objects if o.room_id == room.room_id and vocabulary.fit_for_text(o.label)]
             pieces = known[tuple(sorted((o.label, *_shape(o.aabb)) for o in objects))]
@@ -119,47 +129,10 @@ def test_read_back_the_distances_between_objects_are_the_same(
             theirs = np.array([o.aabb for o in sorted(objects, key=lambda o: key(o.label, o.aabb))])
             shift = theirs - mine
             np.testing.assert_allclose(shift, np.broadcast_to(shift[:1, :1], shift.shape), atol=1.5e-3)
-            offsets.append((handle.scene_id, shift[0, 0]))
+            offsets.append((scene.scene_id, shift[0, 0]))
     for scene_id, shift in offsets:
         same = [other for name, other in offsets if name == scene_id]
         np.testing.assert_allclose(same, np.broadcast_to(shift, (len(same), 3)), atol=1e-3)
-
-
-@pytest.mark.soak
-def test_all_formats_give_the_same_relation_graphs_of_fifteen_apartments(tmp_path: Path) -> None:
-    for family in FAMILIES:
-        make_samples(tmp_path / family, family=family, scenes=15, seed=1)
-    test_all_formats_give_the_same_relation_graph(tmp_path)
-
-
-def test_all_formats_give_the_same_relation_graph(folder: Path) -> None:
-    """Up to what a format does not hold: iTHOR has four room types only; RoboTHOR has no rooms, so no such pairs."""
-    graphs = {family: _edges(family, folder) for family in sorted(set(FAMILIES) - {"robothor"})}
-    whole = graphs.pop("replicacad")
-    assert sum(whole.values()) > 1500
-    in_ithor = {vocabulary.room_type(label, "ithor") for label in FLOOR_PLANS}
-    expected = dict.fromkeys(graphs, whole) | {
-        "ithor": Counter({edge: times for edge, times in whole.items() if edge[0] in in_ithor})
-    }
-    for family, graph in graphs.items():
-        assert graph == expected[family], family
-
-
-def _edges(family: str, folder: Path) -> Counter[tuple[object, ...]]:
-    """Every edge of all scenes by room type, predicate, and the labels and sizes of its two ends."""
-    source = open_source(family, folder / family)
-    edges: Counter[tuple[object, ...]] = Counter()
-    for handle in source.handles():
-        scene = source.read(handle.scene_id)
-        for room in scene.rooms:
-            objects = [o for o in scene.objects if o.room_id == room.room_id and vocabulary.fit_for_text(o.label)]
-            found = relate_room(RoomArrays.of(room.room_id, objects), Thresholds())
-            ends = [(o.label, *_shape(o.aabb)) for o in found.objects.objects]
-            for i, j in zip(*np.nonzero(~np.eye(len(ends), dtype=bool)), strict=True):
-                names = [CANONICAL[found.canonical[i, j]] if found.canonical[i, j] >= 0 else "none"]
-                names += [name for name, holds in found.semantic.items() if holds[i, j]]
-                edges.update((room.label, ends[i], name, ends[j]) for name in names)
-    return edges
 
 
 def _label(label: str) -> str:

@@ -15,8 +15,7 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import make_layout
-from condvln.samples.floor_mesh import MAX_CORNERS, NAVMESH_HEIGHT, convex_polygons, navmesh_of
-from condvln.samples.free_floor import free_floor
+from condvln.samples.floor_mesh import MAX_CORNERS, NAVMESH_HEIGHT, convex_polygons, free_floor, navmesh_of
 from condvln.samples.solid import layout_triangles, piece_corners
 
 

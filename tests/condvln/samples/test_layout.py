@@ -14,19 +14,13 @@ from hypothesis import strategies as st
 
 from condvln.samples import Layout, Yaw, make_layout, make_layouts
 from condvln.samples.catalogue import catalogue
-from condvln.samples.free_floor import free_floor
+from condvln.samples.floor_mesh import free_floor
 from condvln.samples.furnishing import MAX_OBJECTS, MIN_OBJECTS
 from condvln.samples.layout import WALL_THICKNESS
 from schemas.errors import UsageError
 
-layouts = st.builds(make_layout, st.integers(0, 2**63 - 1), st.none() | st.integers(2, 8))
-some = settings(max_examples=25)
 
-
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_no_two_boxes_overlap(layout: Layout) -> None:
+def no_two_boxes_overlap(layout: Layout) -> None:
     low = np.array([piece.aabb[0] for piece in layout.furniture])
     high = np.array([piece.aabb[1] for piece in layout.furniture])
     for i, j in combinations(range(len(low)), 2):
@@ -34,10 +28,7 @@ def test_no_two_boxes_overlap(layout: Layout) -> None:
         assert (common <= 1e-9).any(), (layout.furniture[i], layout.furniture[j])
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_each_piece_stands_inside_its_room_and_within_its_height(layout: Layout) -> None:
+def each_piece_stands_inside_its_room_and_within_its_height(layout: Layout) -> None:
     for piece in layout.furniture:
         inside = layout.room_of[piece.room_id].shape.buffer(-WALL_THICKNESS / 2 + 1e-9, join_style="mitre")
         (x0, y0, z0), (x1, y1, z1) = piece.aabb
@@ -45,10 +36,7 @@ def test_each_piece_stands_inside_its_room_and_within_its_height(layout: Layout)
         assert 0 <= y0 < y1 <= layout.ceiling, piece
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_small_things_lie_on_what_carries_them(layout: Layout) -> None:
+def small_things_lie_on_what_carries_them(layout: Layout) -> None:
     for piece in layout.furniture:
         if piece.parent is not None:
             parent = layout.furniture_of[piece.parent]
@@ -60,10 +48,7 @@ def test_small_things_lie_on_what_carries_them(layout: Layout) -> None:
             assert piece.aabb[0, 1] == 0 if hang is None else piece.aabb[0, 1] >= hang / 1000
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_rooms_tile_the_plan_and_doors_join_them_all(layout: Layout) -> None:
+def rooms_tile_the_plan_and_doors_join_them_all(layout: Layout) -> None:
     shapes = [room.shape for room in layout.rooms]
     (x0, z0), (x1, z1) = layout.bounds
     assert sum(shape.area for shape in shapes) == pytest.approx(shapely.union_all(shapes).area)
@@ -79,19 +64,13 @@ def test_rooms_tile_the_plan_and_doors_join_them_all(layout: Layout) -> None:
     assert nx.is_connected(graph)
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_nobody_walks_through_a_bathroom(layout: Layout) -> None:
+def nobody_walks_through_a_bathroom(layout: Layout) -> None:
     for room in layout.rooms:
         if room.label in ("bathroom", "laundry room", "office"):
             assert sum(room.room_id in door.rooms for door in layout.doors) == 1
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_the_free_floor_is_one_part_that_reaches_every_doorway_and_room(layout: Layout) -> None:
+def the_free_floor_is_one_part_that_reaches_every_doorway_and_room(layout: Layout) -> None:
     floor = free_floor(layout)
     assert isinstance(floor, shapely.Polygon)
     assert floor.is_valid
@@ -106,48 +85,40 @@ def test_the_free_floor_is_one_part_that_reaches_every_doorway_and_room(layout: 
             assert floor.distance(piece.footprint) >= 0.1 - 0.0015, piece
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_every_coordinate_lies_on_the_millimetre_grid(layout: Layout) -> None:
+def every_coordinate_lies_on_the_millimetre_grid(layout: Layout) -> None:
     numbers = [c for room in layout.rooms for c in np.ravel(room.polygon)]
     numbers += [c for piece in layout.furniture for c in (*piece.center, *piece.aabb.ravel())]
     millimetres = np.array(numbers) * 1000
     assert np.abs(millimetres - np.round(millimetres)).max() < 1e-6
 
 
-@pytest.mark.costly
-@given(layouts)
-@some
-def test_rooms_hold_five_to_twelve_objects_with_unique_ids(layout: Layout) -> None:
+def rooms_hold_five_to_twelve_objects_with_unique_ids(layout: Layout) -> None:
     assert all(MIN_OBJECTS <= len(layout.in_room(room.room_id)) <= MAX_OBJECTS for room in layout.rooms)
     assert len(layout.furniture_of) == len(layout.furniture)
     assert len(layout.room_of) == len(layout.rooms)
     assert sum(len(layout.in_room(room.room_id)) for room in layout.rooms) == len(layout.furniture)
 
 
-@pytest.mark.soak
-def test_all_of_this_holds_of_a_thousand_apartments() -> None:
-    properties = [
-        test_no_two_boxes_overlap,
-        test_each_piece_stands_inside_its_room_and_within_its_height,
-        test_small_things_lie_on_what_carries_them,
-        test_rooms_tile_the_plan_and_doors_join_them_all,
-        test_nobody_walks_through_a_bathroom,
-        test_the_free_floor_is_one_part_that_reaches_every_doorway_and_room,
-        test_every_coordinate_lies_on_the_millimetre_grid,
-        test_rooms_hold_five_to_twelve_objects_with_unique_ids,
-    ]
-    for seed in range(1000):
-        layout = make_layout(seed)
-        for holds in properties:
-            holds.hypothesis.inner_test(layout)
+PROPERTIES = (
+    no_two_boxes_overlap,
+    each_piece_stands_inside_its_room_and_within_its_height,
+    small_things_lie_on_what_carries_them,
+    rooms_tile_the_plan_and_doors_join_them_all,
+    nobody_walks_through_a_bathroom,
+    the_free_floor_is_one_part_that_reaches_every_doorway_and_room,
+    every_coordinate_lies_on_the_millimetre_grid,
+    rooms_hold_five_to_twelve_objects_with_unique_ids,
+)
 
 
-@given(st.integers(0, 10**6), st.integers(2, 8))
-@some
-def test_the_number_of_rooms_is_what_was_asked_for(seed: int, n_rooms: int) -> None:
-    assert len(make_layout(seed, n_rooms).rooms) == n_rooms
+@pytest.mark.rounds(12)
+@given(st.integers(0, 2**63 - 1), st.none() | st.integers(2, 8))
+@settings(max_examples=25)
+def test_every_property_holds_of_every_apartment(seed: int, n_rooms: int | None) -> None:
+    layout = make_layout(seed, n_rooms)
+    assert n_rooms is None or len(layout.rooms) == n_rooms
+    for holds in PROPERTIES:
+        holds(layout)
 
 
 @pytest.mark.parametrize("n_rooms", [-1, 0, 1, 9])

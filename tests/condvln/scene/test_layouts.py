@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from condvln.scene.layouts import layout_of
+from condvln.scene.scene import layout_of
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from condvln.scene import Room, Scene, SceneObject
-from condvln.scene.limits import check_limits
+from condvln.scene.scene import check_limits
 from schemas.config import LimitsConfig
 from schemas.errors import LimitError
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from condvln.scene import MeshPart, NavmeshFile, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import rounded_box
-from condvln.scene.quaternions import to_matrix
+from condvln.scene.rotations import to_matrix
 from condvln.scene.tables import scene_from_tables, scene_tables
 from schemas.tables import TABLES
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import json
-import struct
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+
+from condvln.formats.gltf_tree import packed_glb
 
 
 def encoded(pixels: NDArray[np.uint8], kind: str = "PNG") -> bytes:
@@ -78,6 +79,4 @@ def square_glb(
         binary += piece + b"\0" * (-len(piece) % 4)
     tree["bufferViews"], tree["buffers"] = views, [{"byteLength": len(binary)}]
     text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+    return packed_glb(text, binary)

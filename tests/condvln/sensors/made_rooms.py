@@ -45,28 +45,3 @@ def rays(camera: CameraConfig, rotation: F64) -> F64:
     grid = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
     directions: F64 = grid @ rotation.T
     return directions
-
-
-def first_front_hits(triangles: F64, eye: F64, directions: F64) -> tuple[F64, NDArray[np.int64]]:
-    """Depth (k,), inf for none, and triangle (k,), −1, of the first front face that each of k rays meets.
-
-    Möller and Trumbore's test (1997) of every ray with every triangle.
-    """
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    one, two = b - a, c - a
-    depth = np.full(len(directions), np.inf)
-    found = np.full(len(directions), -1)
-    for number, ray in enumerate(directions):
-        p = np.cross(ray, two)
-        det = np.einsum("ij,ij->i", one, p)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s = eye - a
-            u = np.einsum("ij,ij->i", s, p) / det
-            q = np.cross(s, one)
-            v = q @ ray / det
-            t = np.einsum("ij,ij->i", two, q) / det
-        hit = (det > 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0.01)
-        if hit.any():
-            found[number] = np.flatnonzero(hit)[np.argmin(t[hit])]
-            depth[number] = t[found[number]]
-    return depth, found

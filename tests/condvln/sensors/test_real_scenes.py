@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from condvln.evaluation.stepped_episode import heading_of
+from condvln.evaluation.walker import heading_of
 from condvln.samples import make_samples
 from condvln.scene.meshes import MeshLibrary
 from condvln.sensors.camera import camera_pose
@@ -74,9 +74,9 @@ def assert_alike(found: list[tuple[int, int, int, int]]) -> None:
 
 def test_images_of_real_apartments(real_data: Path) -> None:
     source = open_source("replicacad", real_data / "replicacad")
-    worlds = [open_world(source, name) for name in source.scene_ids()]
+    worlds = [open_world(source, name) for name in source.scene_ids()[::4]]
     found = [compare(world) for world in worlds if any(item.mesh for item in world.scene.objects)]
-    assert len(found) >= 40
+    assert len(found) >= 10
     assert_alike(found)
 
 
@@ -89,29 +89,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> list[World]:
         source = open_source(family, root / family)
         found += [open_world(source, name) for name in source.scene_ids()]
     return found
-
-
-def test_images_of_made_scenes(made: list[World]) -> None:
-    found = []
-    for world in made:
-        near, pixels, equal, hits = compare(world)
-        # The triangles of a scan name no objects: boxes do.
-        scan = world.scene.stage and not any(item.mesh for item in world.scene.objects)
-        found.append((near, pixels, near if scan else equal, hits))
-    assert len(found) >= 10
-    assert_alike(found)
-
-
-def test_nothing_is_nearer_than_the_agent_s_radius(made: list[World]) -> None:
-    """From a thousand places: the navmesh and the eyes know one building."""
-    camera = CameraConfig(width=16, height=4, hfov=90.0, eye_height=0.5)
-    ground = np.hypot(*np.moveaxis(rays(camera, np.eye(3)), -1, 0)[[0, 2]])
-    each = math.ceil(1000 / len(made))
-    for world in made:
-        for position, heading in poses(world, each):
-            for quarter in range(4):
-                depth = world.renderer.look(camera, position, heading + quarter * math.pi / 2, rgb=False).depth
-                assert (depth * ground)[depth > 0].min(initial=9.0) > world.agent.radius - 0.05
 
 
 def test_evidence_that_is_visible_at_once_has_pixels(made: list[World]) -> None:

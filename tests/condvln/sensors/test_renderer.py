@@ -10,13 +10,14 @@ import trimesh
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from condvln.scene.quaternions import rotation_x, rotation_y, rotation_z
+from condvln.scene.rotations import rotation_x, rotation_y, rotation_z
 from condvln.sensors import measured_depth
 from condvln.sensors.camera import camera_pose, panorama
 from condvln.sensors.renderer import NEAR
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
-from tests.condvln.sensors.made_rooms import F64, box_triangles, first_front_hits, rays, renderer_of
+from tests.condvln.sensors.made_rooms import F64, box_triangles, rays, renderer_of
+from tests.condvln.sensors.ray_caster import RayCaster
 
 GREY = (0.4, 0.4, 0.4)
 RED, GREEN, BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -122,8 +123,8 @@ def test_depth_of_a_sphere_is_the_closed_form() -> None:
     assert (frame.depth[outside] == 0).all()
     # The mesh itself, to the last micrometre.
     few = directions.reshape(-1, 3)[::197]
-    depth, _ = first_front_hits(np.asarray(ball.triangles + centre), np.zeros(3), few)
-    np.testing.assert_allclose(frame.depth.reshape(-1)[::197], np.where(np.isfinite(depth), depth, 0), atol=2e-6)
+    depth, _ = RayCaster(np.asarray(ball.triangles + centre)).first_front(np.zeros(3), few)
+    np.testing.assert_allclose(frame.depth.reshape(-1)[::197], depth, atol=2e-6)
 
 
 def signs() -> tuple[F64, ...]:
@@ -206,8 +207,8 @@ def test_any_triangles_are_seen_as_rays_meet_them(seed: int) -> None:
     eye, rotation = camera_pose(camera, [0.1, 0.2, 0.3], 0.4)
     frame = scene.frame(camera, eye, rotation)
     single = triangles.astype(np.float32).astype(np.float64)
-    depth, found = first_front_hits(single, eye, rays(camera, rotation).reshape(-1, 3))
-    depth = np.where(np.isfinite(depth), depth, 0).reshape(frame.depth.shape)
+    depth, found = RayCaster(single).first_front(eye, rays(camera, rotation).reshape(-1, 3))
+    depth = depth.reshape(frame.depth.shape)
     same = (frame.instance == found.reshape(depth.shape) + 1) & (np.abs(frame.depth - depth) < 1e-4)
     assert same.mean() > 0.998
     assert (frame.instance > 0).mean() > 0.3

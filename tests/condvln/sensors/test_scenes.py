@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from condvln.samples import make_samples
 from condvln.scene import SceneObject
-from condvln.scene.geometry import STRUCTURE
+from condvln.scene.scene import STRUCTURE
 from condvln.sensors import Renderer, open_renderer
 from condvln.sensors.assembly import BOXES, MARGIN, NO_STAGE, NO_WALLS, OWNERS_BY_BOX
 from condvln.sensors.camera import camera_pose
@@ -60,7 +60,6 @@ def assert_equal_images(frame: Frame, caster: RayCaster, owners: NDArray[np.inte
 def test_images_are_what_rays_meet(worlds: dict[str, World], family: str) -> None:
     world = worlds[family]
     geometry = world.geometry
-    assert geometry is not None
     renderer = open_renderer(world.scene, geometry)
     own = renderer.surfaces
     if geometry.approximate:  # boxes that hold things are drawn open
@@ -100,7 +99,6 @@ def test_a_scan_s_things_are_told_by_their_boxes(worlds: dict[str, World]) -> No
         for instance in np.unique(frame.instance[frame.instance > 0]):
             item = world.scene.objects[instance - 1]
             found.add(item.object_id)
-            assert item.obb is not None
             away = (points[frame.instance == instance] - item.obb.center) @ item.obb.rotation
             assert (np.abs(away) <= item.obb.half_extents + MARGIN + 1e-4).all()
     assert len(found) > 5

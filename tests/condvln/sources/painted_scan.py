@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import json
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
+
+from condvln.formats.gltf_tree import packed_glb
 
 HEADING = "HM3D Semantic Annotations"
 SCAN = "00801-aB3xyZ01234"
@@ -102,9 +103,7 @@ def glb(parts: Sequence[dict[str, Any]]) -> bytes:
         binary += view + b"\0" * (-len(view) % 4)
     root |= {"bufferViews": listed, "accessors": accessors, "buffers": [{"byteLength": len(binary)}]}
     text = json.dumps({key: value for key, value in root.items() if value}).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+    return packed_glb(text, binary)
 
 
 def write(folder: Path, lines: Sequence[str], parts: Sequence[dict[str, Any]], split: str = "val") -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 
 from condvln.formats.json_document import parse_json
 from condvln.sources.procthor import ProcthorSource
-from condvln.sources.procthor_house import House, read_house
+from condvln.sources.procthor_house import House, Opening, read_house
 from condvln.sources.registry import open_source
 
 House_ = dict[str, Any]
@@ -89,3 +89,19 @@ def write(root: Path, *houses: House_, name: str = "train.jsonl") -> ProcthorSou
 
 def parsed(document: House_) -> House:
     return read_house(parse_json(json.dumps(document).encode(), "h.json"))
+
+
+def leads_out(opening: Opening) -> bool:
+    """Whether an opening leads out of its house."""
+    return opening.rooms[0] == opening.rooms[1]
+
+
+def passages_of(house: House) -> set[tuple[str, str]]:
+    """All pairs of rooms that are connected by a passable door or a removed wall."""
+    pairs = [o.rooms for o in house.openings if o.kind == "door" and o.passable and not leads_out(o)]
+    sides: dict[str, list[str]] = {}
+    for wall in house.walls:
+        if wall.empty:
+            sides.setdefault(wall.wall_id.split("|", 2)[-1], []).append(wall.room_id)
+    pairs += [(a, b) for rooms in sides.values() for a in rooms for b in rooms if a != b]
+    return {(min(pair), max(pair)) for pair in pairs}

@@ -26,7 +26,6 @@ def codes(scene: Scene) -> list[str]:
 
 
 def box(item: SceneObject) -> list[list[float]]:
-    assert item.aabb is not None
     return item.aabb.tolist()
 
 

@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.episodes.footprint import Footprint, Footprints
-from condvln.relations.solids import BoxSolid, CompoundSolid, solid_of
-from condvln.relations.surface import solid_distance
+from condvln.episodes.kernels.distances import passes_through
+from condvln.relations.solids import BoxSolid, solid_distance, solid_of
 from condvln.scene import OrientedBox, SceneObject
 from condvln.scene.boxes import aabb_of, box_corners
-from condvln.scene.frames import unity_rotation
-from condvln.sources.counters import ARM_DEPTH, counter_parts
+from condvln.scene.rotations import unity_rotation
+from condvln.sources.procthor_solids import ARM_DEPTH, counter_parts
 from condvln.sources.registry import open_source
 from condvln.sources.solids import object_boxes
 from condvln.verify.footprints import Ground
@@ -36,11 +36,9 @@ def counter(asset_id: str, yaw: float = 0.0) -> SceneObject:
 
 def over(item: SceneObject, east: float, north: float) -> bool:
     """Whether a place in the counter's own quarter is over it; as shares of half its lengths, in the asset's frame."""
-    assert item.obb is not None
     local = np.array([east, 0.0, -north]) * item.obb.half_extents
     point = (item.center + item.obb.rotation @ local)[None]
     found = Footprint.of(item)
-    assert found is not None
     assert (found.distance(point)[0] == 0.0) == (Ground(item).distances(point)[0] == 0.0)
     return bool(found.distance(point)[0] == 0.0)
 
@@ -79,7 +77,6 @@ def test_distances_are_those_of_the_union(yaw: float, asset_id: str, seed: int) 
     points = item.center + rng.uniform(-3, 3, (40, 3))
     expected = shapely.distance(union, shapely.points(points[:, [0, 2]]))
     found = Footprint.of(item)
-    assert found is not None
     assert np.allclose(found.distance(points), expected, atol=1e-9)
     assert np.allclose(Ground(item).distances(points), expected, atol=1e-9)
     assert found.half_perimeter == pytest.approx(union.length / 2)
@@ -90,10 +87,10 @@ def test_distances_are_those_of_the_union(yaw: float, asset_id: str, seed: int) 
     lines = shapely.linestrings(np.stack([points[:, [0, 2]], ends[:, [0, 2]]], axis=1))
     inner = shapely.intersects(union.buffer(-1e-6), lines)
     outer = shapely.intersects(union.buffer(1e-6), lines)
-    crossed = Footprints([found, Footprint(np.array([90.0, 90.0]), np.ones(2), np.eye(2))]).crossings(points, ends)
-    assert crossed.shape == (2, 40)
-    assert (inner <= crossed[0]).all()
-    assert (crossed[0] <= outer).all()
+    boxes = Footprints([found, Footprint(np.array([90.0, 90.0]), np.ones(2), np.eye(2))]).boxes
+    crossed = np.array([passes_through(np.array(way), *boxes) for way in zip(points, ends, strict=True)])
+    assert (inner <= crossed).all()
+    assert (crossed <= outer).all()
 
 
 @given(st.floats(0, 360), st.integers(0, 2**32))
@@ -104,11 +101,11 @@ def test_surface_distance_is_the_least_of_the_parts(yaw: float, seed: int) -> No
     bowl = SceneObject("bowl", "r", "bowl", "bowl", place, aabb=box)
     assert item.aabb is not None
     solid = solid_of(item, item.aabb, None)
-    assert isinstance(solid, CompoundSolid)
-    other = BoxSolid(place, np.full(3, 0.1), np.eye(3))
-    expected = min(solid_distance(part, other) for part in solid.parts)
+    assert isinstance(solid, BoxSolid)
+    other = BoxSolid((OrientedBox(place, np.full(3, 0.1), np.eye(3)),))
+    expected = min(solid_distance(BoxSolid((part,)), other) for part in solid.boxes)
     assert solid_distance(solid, other) == pytest.approx(expected, abs=1e-6)
-    measured = SurfaceGauge(Shapes(Path("."))).millimetres(item, bowl)
+    measured = SurfaceGauge(Shapes(Path("."))).at_most(item, bowl, 0.0)
     assert measured is not None
     assert measured == pytest.approx(1000 * expected, abs=1.0)
 
@@ -137,7 +134,6 @@ def test_what_stands_on_real_counters_stands_over_their_arms(real_data: Path) ->
             below = scene.object_of.get(item.support or "")
             if below is not None and below.parts:
                 found = Footprint.of(below)
-                assert found is not None
                 assert found.distance(item.center[None])[0] == 0.0, (handle.scene_id, item.object_id)
                 standing += 1
     assert counters == 35

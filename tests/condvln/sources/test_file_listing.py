@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import os
 from pathlib import Path
 
 import pytest
 
-from condvln.formats.dataset_root import DatasetRoot
+from condvln.formats.dataset_root import DatasetRoot, list_files
 from condvln.samples import FAMILIES, make_samples
-from condvln.sources.file_listing import list_files
+from condvln.scene.tables import scene_tables
 from condvln.sources.registry import open_source
 from condvln.sources.source import Source
-from schemas.errors import ConfigError, MissingFileError, PathEscapeError
+from schemas.errors import CondVLNError, ConfigError, MissingFileError, PathEscapeError
 
 
 def names(source: Source) -> list[str]:
@@ -35,6 +36,33 @@ def test_links_into_the_dataset_double_no_scene(tmp_path: Path, family: str) -> 
     assert names(source) == before
     assert all(handle.fault is None for handle in source.handles())
     source.read(before[0])
+
+
+@pytest.mark.parametrize("family", sorted(FAMILIES))
+def test_a_download_whose_content_is_in_a_cache_is_the_same_dataset(tmp_path: Path, family: str) -> None:
+    """As the Hugging Face Hub keeps it; equal files are one blob."""
+    plain, root = tmp_path / "plain", tmp_path / "hub/datasets--a--b/snapshots/0f3c"
+    make_samples(plain, family=family, scenes=2, seed=1)
+    blobs = root.parents[1] / "blobs"
+    blobs.mkdir(parents=True)
+    for file in sorted(path for path in plain.rglob("*") if path.is_file()):
+        link = root / file.relative_to(plain)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        blob = blobs / hashlib.sha256(file.read_bytes()).hexdigest()
+        blob.write_bytes(file.read_bytes())
+        link.symlink_to(os.path.relpath(blob, link.parent))
+    linked, expected = open_source(family, root).handles(), open_source(family, plain).handles()
+    assert [(h.scene_id, h.inputs, h.fault) for h in linked] == [(h.scene_id, h.inputs, h.fault) for h in expected]
+    scene, other = (open_source(family, folder).read(expected[0].scene_id) for folder in (root, plain))
+    assert scene_tables(scene)["objects"].equals(scene_tables(other)["objects"])
+    # Content that was not downloaded is named, and costs only the scenes that need it.
+    for blob in blobs.iterdir():
+        blob.unlink()
+    try:
+        faults = [handle.fault for handle in open_source(family, root).handles()]
+    except CondVLNError as error:
+        faults = [error]
+    assert all("not in the cache" in str(fault) for fault in faults)
 
 
 def test_each_real_file_once_and_its_other_names_are_said(tmp_path: Path) -> None:

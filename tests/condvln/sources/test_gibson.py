@@ -26,14 +26,11 @@ def test_a_building_is_turned_upright(tmp_path: Path) -> None:
         ("bedroom_1", "bedroom", 0, 0.0, 2.5, True),
         ("dining_room_2", "dining room", 1, 3.0, 5.5, True),
     ]
-    assert scene.rooms[0].polygon is not None
     assert [scene.rooms[0].polygon.min(0).tolist(), scene.rooms[0].polygon.max(0).tolist()] == [[-1, -5], [3, 1]]
     bed = scene.object_of["bed_1"]
     assert (bed.room_id, bed.label, bed.geometry) == ("bedroom_1", "bed", "aabb")
     assert bed.center.tolist() == [1, 0.5, -2]
-    assert bed.aabb is not None
     assert bed.aabb.tolist() == [[0, 0, -2.75], [2, 1, -1.25]]
-    assert bed.size is not None
     assert bed.size.tolist() == [2, 1, 1.5]
     assert bed.radius == 1.347
 
@@ -158,7 +155,6 @@ def test_mesh_and_navmesh_beside_it_are_taken(tmp_path: Path, made: Any, glb_of_
     (tmp_path / "Made.glb").write_bytes(glb_of_box([1, 2, 3]))
     (tmp_path / "Made.navmesh").write_bytes((made.root / "navmeshes_default/flat.navmesh").read_bytes())
     scene = with_shipped_navmesh(source.read("Made"), AgentConfig())
-    assert scene.navmesh is not None
     assert (scene.navmesh.path, scene.navmesh.fits) == ("Made.navmesh", True)
     (part,) = scene.stage
     assert part.path == "Made.glb"

@@ -13,7 +13,7 @@ from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
 from condvln.sources.source import UNKNOWN_LABEL
-from schemas.errors import InputError
+from schemas.errors import ConfigError, InputError
 
 SCENE = "scenes/made_000.scene_instance.json"
 
@@ -138,3 +138,16 @@ def test_rows_of_the_table_that_lack_cells_are_passed_over(made: Path) -> None:
     before, lines = labels(read(made)), (made / "semantics/objects.csv").read_text()
     (made / "semantics/objects.csv").write_text(lines + "\n\nlonely\n,,\n,,chair\n")
     assert labels(read(made)) == before
+
+
+def test_a_missing_lexicon_is_said_once_for_all_scenes(made: Path) -> None:
+    (made / "scenes/made_001.scene_instance.json").write_bytes((made / SCENE).read_bytes())
+    regions = made / "semantics/scenes/made_000.semantic_config.json"
+    (made / "semantics/scenes/made_001.semantic_config.json").write_bytes(regions.read_bytes())
+    next(made.glob("semantics/*lexicon.json")).unlink()
+    source = open_source("hssd", made)
+    with pytest.raises(ConfigError, match="none of the 2 scenes can be read: the semantic lexicon file does not exist"):
+        source.handles()
+    # A scene that has a fault of its own is a scene of its own.
+    (made / "scenes/made_001.scene_instance.json").write_bytes(b"{")
+    assert [type(handle.fault).__name__ for handle in source.handles()] == ["MissingFileError", "FormatError"]

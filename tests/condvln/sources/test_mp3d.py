@@ -21,6 +21,7 @@ from condvln.sources.mp3d import Mp3dSource
 from condvln.sources.registry import open_source
 from schemas.config import AgentConfig
 from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
+from tests.broken_bytes import broken
 
 SCAN = "made1234567"
 ZEROS = "0 0 0 0 0"
@@ -75,14 +76,11 @@ def test_a_scan_is_turned_upright(tmp_path: Path) -> None:
         ("region_0", "k", "kitchen", 0, 0.0, 2.5),
         ("region_1", "b", "bedroom", 1, 3.0, 5.4),
     ]
-    assert scene.rooms[0].polygon is not None
     assert scene.rooms[0].polygon.tolist() == [[0, 0], [4, 0], [4, -3], [0, -3]]
     sofa = scene.object_of["sofa_0"]
     assert (sofa.label, sofa.room_id, sofa.center.tolist()) == ("sofa", "region_0", [1, 0.4, -1])
     # Half lengths, along axes that are not in the order of the world's.
-    assert sofa.aabb is not None
     assert sofa.aabb.tolist() == [[0.5, 0, -2], [1.5, 0.8, 0]]
-    assert sofa.obb is not None
     assert sofa.obb.half_extents.tolist() == [1.0, 0.5, 0.4]
     np.testing.assert_allclose(sofa.obb.rotation[:, 0], [0, 0, -1], atol=1e-9)
 
@@ -109,9 +107,7 @@ def test_panoramas_and_portals_share_a_letter() -> None:
     (panorama,) = house.panoramas
     assert (panorama.name, panorama.region) == ("0123456789abcdef" * 2, 0)
     assert panorama.position.tolist() == [1, 1, 1.5]
-    assert [(p.regions, p.label) for p in house.portals] == [((0, 1), "-")]
     assert house.categories == {0: "sofa", 1: "table#lamp"}
-    assert house.levels == 2
 
 
 @pytest.mark.parametrize(
@@ -132,7 +128,6 @@ def test_every_layout_is_found_with_what_lies_beside(
     (folder / f"{SCAN}.glb").write_bytes(glb_of_box([1, 2, 3]))
     (folder / f"{SCAN}.navmesh").write_bytes((made.root / "navmeshes_default/flat.navmesh").read_bytes())
     scene = with_shipped_navmesh(source.read(SCAN), AgentConfig())
-    assert scene.navmesh is not None
     assert scene.navmesh.fits
     (part,) = scene.stage
     np.testing.assert_array_equal(part.transform[:3, :3] @ [1, 2, 3], [1, 3, -2])
@@ -158,6 +153,17 @@ def changed(kind: str, index: int, old: str, new: str) -> dict[str, list[str]]:
     return made
 
 
+def test_an_object_of_negative_size_costs_its_extent_alone(tmp_path: Path) -> None:
+    whole = write(tmp_path, text()).read(SCAN)
+    scene = write(tmp_path, text(changed("O", 0, "0.5", "-0.5"))).read(SCAN)
+    assert [o.object_id for o in scene.objects] == [o.object_id for o in whole.objects]
+    (spoilt,) = [o for o in scene.objects if o.radius is None]
+    assert (spoilt.aabb, spoilt.size) == (None, None)
+    assert [w.message for w in scene.warnings if w.where == spoilt.object_id] == [
+        "a half length is negative: extent unknown"
+    ]
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -170,7 +176,6 @@ def changed(kind: str, index: int, old: str, new: str) -> dict[str, list[str]]:
         (text(header="H 1 2"), "line 2: a record H must have 29 words, this one has 3"),
         (text(changed("O", 0, "0.5", "nan")), "word 14 is 'nan', not a number"),
         (text(changed("O", 0, "0.5", "1e7")), "not a number up to"),
-        (text(changed("O", 0, "0.5", "-0.5")), "negative"),
         (text(changed("O", 0, "O 0 0 0", "O 0 7 0")), "in region 7, which does not exist"),
         (text(changed("O", 0, "O 0 0 0", "O 0 0 9")), "of category 9, which does not exist"),
         (text(changed("O", 0, "O 0 0 0", "O 1 0 0")), "two objects have the index 1"),
@@ -214,30 +219,13 @@ def test_a_large_file_is_read_in_bounded_memory() -> None:
         tracemalloc.stop()
 
 
-def _check(data: st.DataObject) -> None:
-    bad = bytearray(text())
-    for _ in range(data.draw(st.integers(1, 3))):
-        at = data.draw(st.integers(0, len(bad) - 1))
-        tokens = st.sampled_from([b" ", b"\n", b"-1", b"nan", b"9e9", b"P", b"O 0", b"0 0 0"]) | st.binary(max_size=3)
-        bad[at : at + data.draw(st.integers(0, 5))] = data.draw(tokens)
-    with suppress(FormatError):
-        house = read_house_file(bytes(bad), "x.house")
-        assert all(np.isfinite(o.centre).all() for o in house.objects)
-
-
-@given(st.data())
-def test_broken_bytes_give_a_house_or_our_error(data: st.DataObject) -> None:
-    _check(data)
-
-
-@pytest.mark.soak
-@settings(max_examples=5000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@pytest.mark.rounds(15)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_broken_bytes_at_full_count(tmp_path: Path, data: st.DataObject) -> None:
-    _check(data)
-    bad = bytearray(text())
-    at = data.draw(st.integers(0, len(bad) - 1))
-    bad[at : at + 2] = data.draw(st.binary(max_size=3))
-    source = write(tmp_path, bytes(bad))
+def test_broken_bytes_give_a_house_or_our_error(tmp_path: Path, data: st.DataObject) -> None:
+    tokens = [b" ", b"\n", b"-1", b"nan", b"9e9", b"P", b"O 0", b"0 0 0"]
+    source = write(tmp_path, broken(data, text(), tokens, 5))
     with suppress(InputError):
-        scene_tables(source.read(SCAN))
+        scene = source.read(SCAN)
+        assert all(np.isfinite(o.center).all() for o in scene.objects)
+        scene_tables(scene)

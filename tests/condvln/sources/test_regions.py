@@ -40,7 +40,6 @@ def test_habitats_own_sample(real_data: Path) -> None:
         ("test_region_positiveX", "bathroom", -2.0, 2.0, 0),
     ]
     for room, (low, high) in zip(read, (([-25, -10], [-5, 10]), ([5, -10], [25, 10])), strict=True):
-        assert room.polygon is not None
         assert room.polygon.shape == (6, 2)
         assert room.polygon.min(axis=0).tolist() == low
         assert room.polygon.max(axis=0).tolist() == high

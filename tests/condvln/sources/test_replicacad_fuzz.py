@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from condvln.scene.tables import scene_tables
 from schemas.errors import CondVLNError, ConfigError, InputError
+from tests.broken_bytes import broken
 
 TOKENS = [
     b"-1",
@@ -41,18 +42,13 @@ def files(made: Any) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in sorted(made.root.rglob("*")) if path.is_file()}
 
 
-def _mutated(data: st.DataObject, sound: bytes) -> bytes:
-    bad = bytearray(sound)
-    for _ in range(data.draw(st.integers(1, 3))):
-        at = data.draw(st.integers(0, max(len(bad) - 1, 0)))
-        size = data.draw(st.integers(0, 6))
-        bad[at : at + size] = data.draw(st.sampled_from(TOKENS) | st.binary(max_size=4))
-    return bytes(bad[: data.draw(st.sampled_from([len(bad)] * 4 + [len(bad) // 2]))])
-
-
-def _check(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:
+@pytest.mark.rounds(10)
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_broken_bytes_give_a_scene_or_our_error(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:
     victim = data.draw(st.sampled_from(sorted(files)))
-    victim.write_bytes(_mutated(data, files[victim]))
+    bad = broken(data, files[victim], TOKENS)
+    victim.write_bytes(bad[: data.draw(st.sampled_from([len(bad)] * 4 + [len(bad) // 2]))])
     refused: CondVLNError | None = None
     try:
         for handle in made.source().handles():
@@ -66,17 +62,3 @@ def _check(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:
     if refused is not None:
         assert str(made.root) in refused.where
         assert refused.remedy
-
-
-@pytest.mark.costly
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_broken_bytes_give_a_scene_or_our_error(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:
-    _check(made, files, data)
-
-
-@pytest.mark.soak
-@settings(max_examples=5000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-@given(data=st.data())
-def test_broken_bytes_at_full_count(made: Any, files: dict[Path, bytes], data: st.DataObject) -> None:
-    _check(made, files, data)

@@ -25,7 +25,6 @@ def test_a_broken_navmesh_is_refused(made: Any, data: bytes | None, message: str
 
 def test_the_navmesh_that_fits_the_agent_is_taken(made: Any) -> None:
     scene = on_navmesh(made)
-    assert scene.navmesh is not None
     assert (scene.navmesh.path, scene.navmesh.fits, scene.navmesh.built) == (
         "navmeshes_default/flat.navmesh",
         True,
@@ -33,14 +32,12 @@ def test_the_navmesh_that_fits_the_agent_is_taken(made: Any) -> None:
     )
     assert scene.navmesh.agent_radius == 0.1
     wide = on_navmesh(made, agent=AgentConfig(radius=0.3))
-    assert wide.navmesh is not None
     assert (wide.navmesh.path, wide.navmesh.fits) == ("navmeshes/flat.navmesh", True)
     assert wide.warnings == ()
 
 
 def test_else_a_shipped_one_with_a_warning(made: Any) -> None:
     scene = on_navmesh(made, agent=AgentConfig(radius=0.2))
-    assert scene.navmesh is not None
     assert (scene.navmesh.path, scene.navmesh.fits, scene.navmesh.agent_radius) == (
         "navmeshes/flat.navmesh",
         False,
@@ -53,7 +50,6 @@ def test_an_unknown_navmesh_handle_falls_back_to_the_scenes_name(made: Any) -> N
     made.scene["navmesh_instance"] = "empty_stage_navmesh"
     made.write_scene()
     scene = on_navmesh(made)
-    assert scene.navmesh is not None
     assert scene.navmesh.path == "navmeshes_default/flat.navmesh"
     assert codes(scene) == ["navmesh_handle_unknown"]
 
@@ -73,5 +69,4 @@ def test_scenes_may_share_a_navmesh_of_either_radius(made: Any) -> None:
 def test_an_asked_folder_of_navmeshes_comes_first(made: Any) -> None:
     made.navmesh("mine/flat.navmesh", 0.1)
     scene = on_navmesh(made, navmesh="mine")
-    assert scene.navmesh is not None
     assert scene.navmesh.path == "mine/flat.navmesh"

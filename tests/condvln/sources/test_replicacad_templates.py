@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from condvln.sources import scene_dataset
 from tests.condvln.sources.replicacad_reading import box, codes, read
 
 # --- templates
@@ -121,42 +120,18 @@ def test_a_scene_without_objects_is_returned(made: Any) -> None:
     assert codes(scene) == []
 
 
-# --- kept lists of templates
-
-
-def test_a_list_of_templates_is_kept_until_a_folder_changes(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_dataset, "_SETTLED", -(10**12))  # the folders were made just now
+def test_templates_that_come_and_go_are_seen(made: Any) -> None:
     made.write_scene()
-    read(made)
-    with monkeypatch.context() as patch:
-        patch.setattr(scene_dataset.glob, "glob", lambda *_, **__: pytest.fail("the folders are listed again"))
-        assert codes(read(made)) == []
+    assert codes(read(made)) == []
     made.scene["object_instances"][0]["template_name"] = "able_0"
+    made.scene["articulated_object_instances"][0]["template_name"] = "cupboard"
     made.write_scene()
     made.object("zable_02", size=[9, 9, 9], semantic_id=1)
-    assert codes(read(made)) == ["ambiguous_template"]
+    assert codes(read(made)) == ["ambiguous_template", "missing_template"]
     (made.root / "configs/objects/zable_02.object_config.json").unlink()
-    assert codes(read(made)) == []
+    for path in (made.root / "urdf/fridge").iterdir():
+        made.write(f"urdf/cupboard/{path.name.replace('fridge', 'cupboard')}", path.read_bytes())
+    assert codes(read(made)) == ["unlabelled_object"]
     made.config["objects"]["paths"][".json"] = []
     made.write_config()
     assert "missing_template" in codes(read(made))
-
-
-def test_a_folder_that_changed_just_now_is_listed_again(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    read(made)
-    listed: list[str] = []
-    real = scene_dataset.glob.glob
-    monkeypatch.setattr(scene_dataset.glob, "glob", lambda name, **more: listed.append(name) or real(name, **more))
-    read(made)
-    assert listed
-
-
-def test_a_folder_that_a_pattern_finds_later_is_listed(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_dataset, "_SETTLED", -(10**12))  # the folders were made just now
-    made.scene["articulated_object_instances"][0]["template_name"] = "cupboard"
-    made.write_scene()
-    assert "missing_template" in codes(read(made))
-    folder = made.root / "urdf/fridge"
-    for path in folder.iterdir():
-        made.write(f"urdf/cupboard/{path.name.replace('fridge', 'cupboard')}", path.read_bytes())
-    assert "missing_template" not in codes(read(made))

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from condvln.sources.urdf import read_urdf
 from schemas.errors import FormatError
+from tests.broken_bytes import broken
 
 LINK = '<link name="{0}"><visual><geometry><mesh filename="{0}.glb"/></geometry></visual></link>'
 VISUAL = '<link name="a"><visual><origin xyz="{}"/><geometry><mesh filename="m"/></geometry></visual></link>'
@@ -96,9 +97,6 @@ def test_an_entity_bomb_is_refused() -> None:
 
 @given(st.data())
 def test_mutations_give_meshes_or_our_error(data: st.DataObject) -> None:
-    sound = bytearray(robot(LINK.format("a"), LINK.format("b"), JOINT.format("a", "b", '<origin xyz="1 2 3"/>')))
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(sound) - 1))
-        sound[at : at + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
+    sound = robot(LINK.format("a"), LINK.format("b"), JOINT.format("a", "b", '<origin xyz="1 2 3"/>'))
     with suppress(FormatError):
-        assert all(np.isfinite(mesh.transform).all() for mesh in read_urdf(bytes(sound), "r.urdf"))
+        assert all(np.isfinite(mesh.transform).all() for mesh in read_urdf(broken(data, sound, [b""]), "r.urdf"))

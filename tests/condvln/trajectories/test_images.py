@@ -16,10 +16,10 @@ from condvln.sensors.renderer import Renderer
 from condvln.sources.registry import open_source
 from condvln.trajectories.cameras import hub_cameras
 from condvln.trajectories.images import ImageWriter
-from condvln.trajectories.tables import vector
+from condvln.trajectories.walks import vector
 from condvln.world import open_world
 from schemas.config import TrajectoryConfig
-from schemas.trajectory_tables import STEPS
+from schemas.tables import STEPS
 
 
 def walk(name: str, places: np.ndarray, turns: list[int]) -> list[dict[str, Any]]:
@@ -28,7 +28,7 @@ def walk(name: str, places: np.ndarray, turns: list[int]) -> list[dict[str, Any]
     for frame, (place, turn) in enumerate(zip(places, turns, strict=True)):
         heading = turn * np.pi / 12
         half = {"x": 0.0, "y": float(np.sin(heading / 2)), "z": 0.0, "w": float(np.cos(heading / 2))}
-        row = {"scene_id": "s", "trajectory": name, "kind": "gold", "episode_id": 1, "leaf": 0, "looks_for": None}
+        row = {"scene_id": "s", "trajectory": name, "kind": "direct", "episode_id": 1, "leaf": 0, "looks_for": None}
         row |= {"distance_to_goal": 0.0, "frame": frame, "action": 2, "executed": 2, "heading": heading}
         rows.append(row | {"position": vector(place), "rotation": half})
     return rows

@@ -9,9 +9,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.trajectories.layouts import merged, navila_answer
-from condvln.trajectories.uninavid import samples_of
-from condvln.trajectories.videos import mp4_of_jpegs
+from condvln.trajectories.navila import merged, navila_answer
+from condvln.trajectories.uninavid import mp4_of_jpegs, samples_of
 
 walks = st.lists(st.tuples(st.integers(1, 3), st.booleans()), min_size=1, max_size=60)
 

@@ -13,14 +13,16 @@ import pytest
 from PIL import Image
 
 from condvln.formats.image_files import jpeg, png16
+from condvln.navigation.follower import VLN_CE
 from condvln.trajectories import lerobot as layout
-from condvln.trajectories.hub import SceneWalks, write_tables
+from condvln.trajectories.hub import Hub, SceneWalks, write_tables
 from condvln.trajectories.images import image_path
-from condvln.trajectories.tables import vector
-from condvln.verify.training_layouts import prove_layouts
+from condvln.trajectories.walks import vector
+from condvln.verify.layouts import prove_layouts
+from jobs.verify_trajectories import write_layout
 from schemas.config import CameraConfig
 from schemas.errors import StoreError
-from schemas.trajectory_tables import LEFT_OUT, POSES, TRAJECTORIES
+from schemas.tables import LEFT_OUT, POSES, TRAJECTORIES
 
 CAMERA = CameraConfig(width=8, height=6, hfov=79.0, max_depth=None, normalized=False)
 CAMERAS = {"rgb": CAMERA, "depth.125cm_30deg": CAMERA.model_copy(update={"look_down": 30.0})}
@@ -33,7 +35,7 @@ def scene_of(folder: Path) -> SceneWalks:
     for number, count in enumerate(LENGTHS):
         name = f"apt_condvln_{number:06d}"
         actions = [1] * (count - 1) + [0]
-        walk = {"scene_id": "apt", "trajectory": name, "episode_id": 2**50 + number, "kind": "gold"}
+        walk = {"scene_id": "apt", "trajectory": name, "episode_id": 2**50 + number, "kind": "direct"}
         own = {"actions": actions, "executed": actions, "repeats": [1] * count}
         empty = {"goals": [], "success_distance": 1.0, "max_steps": 500, "navmesh": "", "navmesh_sha256": ""}
         start = {"start_position": vector((0, 0, 0)), "start_rotation": dict(zip("xyzw", (0, 0, 0, 1), strict=True))}
@@ -63,7 +65,7 @@ def dataset(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(layout, "FILE_BYTES", request.param)
     monkeypatch.setattr(layout, "CHUNK", 2)
     scene = scene_of(tmp_path)
-    with layout.lerobot(tmp_path, "train", CAMERAS) as add:
+    with layout.lerobot(Hub(tmp_path, "train", CAMERAS, VLN_CE)) as add:
         add(scene)
     return tmp_path / "lerobot"
 
@@ -133,7 +135,10 @@ def test_a_full_disk_is_an_error_of_the_store(at: str, tmp_path: Path, monkeypat
 
     scene = scene_of(tmp_path)
     monkeypatch.setattr(pq.ParquetWriter, at, full)
-    with pytest.raises(StoreError, match="No space left") as found, layout.lerobot(tmp_path, "train", CAMERAS) as add:
+    with (
+        pytest.raises(StoreError, match="No space left") as found,
+        layout.lerobot(Hub(tmp_path, "train", CAMERAS, VLN_CE)) as add,
+    ):
         add(scene)
     assert "lerobot" in str(found.value)
     with pytest.raises(StoreError, match="No space left") as found:
@@ -147,26 +152,26 @@ def test_what_a_dataset_claims_is_compared_before_it_is_built(tmp_path: Path) ->
     """A number of frames of 2³¹ − 1, an image of 400 megapixels, and statistics that are a list."""
     scene = scene_of(tmp_path)
     cameras = {name: camera.model_dump() for name, camera in CAMERAS.items()}
-    record = {"layouts": ["lerobot"], "cameras": cameras, "split": "train"}
+    config = {"forward": 0.25, "turn": 15.0}
+    record = {"layouts": ["lerobot"], "cameras": cameras, "split": "train", "config": config}
     [*write_tables(tmp_path, [scene])]
-    with layout.lerobot(tmp_path, "train", CAMERAS) as add:
+    with layout.lerobot(Hub(tmp_path, "train", CAMERAS, VLN_CE)) as add:
         add(scene)
     walks = [walk | {"source": "replicacad"} for walk in scene.trajectories()]
-    assert prove_layouts(tmp_path, record, walks).faults == []
+    assert prove_layouts(tmp_path, record, walks, write_layout).faults == []
     long = [walks[0] | {"n_frames": 2**31 - 1}, *walks[1:]]
-    assert prove_layouts(tmp_path, record, long).faults[-1][1].endswith("frames of episode 0 are not those of the walk")
+    assert (
+        "has other than 2147483647 actions or poses"
+        in prove_layouts(tmp_path, record, long, write_layout).faults[-1][1]
+    )
     (tmp_path / "lerobot/meta/stats.json").write_bytes(b"[]")
-    assert [what for _, what in prove_layouts(tmp_path, record, walks).faults] == [
-        "lerobot: a file is missing or damaged (stats.json holds no JSON object)"
+    assert [what for _, what in prove_layouts(tmp_path, record, walks, write_layout).faults] == [
+        "lerobot: meta/stats.json is not what the walks, poses and images give"
     ]
     header = struct.pack(">II", 20_000, 20_000)
     small = png16(np.full((6, 8), 2.0, np.float32), 1)
     ihdr = b"IHDR" + header + small[24:29]
     large = small[:12] + ihdr + struct.pack(">I", zlib.crc32(ihdr)) + small[33:]
     (tmp_path / image_path(walks[0]["trajectory"], "depth.125cm_30deg", 0)).write_bytes(large)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(layout, "_pixels", lambda data: np.zeros((1, 1)))
-        with layout.lerobot(tmp_path, "train", CAMERAS) as add:
-            add(scene)
-    ((_, what),) = prove_layouts(tmp_path, record, walks).faults
+    ((_, what),) = prove_layouts(tmp_path, record, walks, write_layout).faults
     assert what.startswith("lerobot: a file is missing or damaged")

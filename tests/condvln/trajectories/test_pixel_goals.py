@@ -10,7 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from condvln.sensors.camera import camera_pose
-from condvln.trajectories.pixel_goals import camera_to_world, mistake_after, pixel_goal
+from condvln.trajectories.images import mistake_after, pixel_goal
+from condvln.trajectories.internvla import camera_to_world
 from schemas.config import CameraConfig
 
 CAMERA = CameraConfig(width=640, height=480, hfov=79.0, look_down=30.0, max_depth=None, normalized=False)
@@ -33,7 +34,6 @@ def test_what_is_hidden_behind_or_beside_is_not_a_goal() -> None:
     assert pixel_goal(CAMERA, np.zeros(3), math.pi / 2, ahead, OPEN, 0.1) is None
     wall = np.full((480, 640), 1.5, np.float32)
     near = pixel_goal(CAMERA, np.zeros(3), 0.0, ahead, wall, 0.1)
-    assert near is not None
     # Optical depth of a place d ahead: d cos 30° + 1.25 sin 30°.
     deepest = max(d for d in range(1, 9) if 0.9 * (0.25 * d * math.cos(math.pi / 6) + 0.625) <= 1.5)
     assert near.frames == deepest
@@ -43,7 +43,6 @@ def test_what_is_hidden_behind_or_beside_is_not_a_goal() -> None:
 def test_turns_do_not_move_a_goal_and_the_first_frame_at_it_counts() -> None:
     ahead = np.array([[0.0, 0.0, -1.0]] * 4)
     goal = pixel_goal(CAMERA, np.zeros(3), 0.0, ahead, OPEN, 0.1)
-    assert goal is not None
     assert goal.frames == 1
     assert pixel_goal(CAMERA, np.zeros(3), 0.0, np.zeros((3, 3)), OPEN, 0.1) is None
     assert pixel_goal(CAMERA, np.zeros(3), 0.0, np.zeros((0, 3)), OPEN, 0.1) is None

@@ -12,10 +12,10 @@ from rich.console import Console
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.samples import make_samples
 from condvln.scene import Scene
-from condvln.scene.geometry import SceneGeometry
+from condvln.scene.scene import SceneGeometry
 from condvln.sources.registry import open_source
+from condvln.verify.certificate import VerifierRules
 from condvln.verify.files import ExportFiles, Row, SceneRun
-from condvln.verify.rules import VerifierRules
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SamplingConfig, SourceConfig
 from schemas.program import CATEGORIES
@@ -54,7 +54,7 @@ def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
         export=folder / "export",
         sources=(SourceConfig(family="replicacad", root=folder / "scenes"),),
         instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY)),
-        sampling=SamplingConfig(candidates_per_episode=PER_CATEGORY),
+        sampling=SamplingConfig(candidates_per_episode=PER_CATEGORY, presence_share=0.5),
     )
     run_generate(config, inline=True, console=Console(file=io.StringIO()))
     runs = tuple(ExportFiles(folder / "export").runs())

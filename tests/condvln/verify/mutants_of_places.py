@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from mutation import Files, World, mutator, pick
 
-from condvln.verify.heading import heading_of, yaw_of
+from condvln.verify.standpoint import heading_of, yaw_of
 
 
 @mutator

@@ -11,8 +11,8 @@ from mutation import Document, Files, World, mutator
 from condvln.relations import COMPASS, PAIR_PREDICATES
 from condvln.verify.words import words
 
-Change = tuple[Document, str, Document]
-"""A stop or a condition, the predicate that it gets, and the anchor."""
+Change = tuple[Document, str, list[Document]]
+"""A stop or a condition, the predicate that it gets, and the anchors."""
 Doubt = Callable[[str, str, str, str], bool]
 """Whether a predicate is in doubt, of room, predicate, thing and anchor."""
 
@@ -37,23 +37,33 @@ def _alone(world: World, room: str, beside: str) -> list[Document]:
     ]
 
 
-@mutator
-def say_a_support_as_above(files: Files, rng: np.random.Generator, world: World) -> bool:
-    """A stop or a true condition is about a thing that rests on another, and says that it is above it."""
-    ways = []
+def _said(files: Files, rng: np.random.Generator, ways: list[Change]) -> bool:
+    """Make one of the changes."""
+    if not ways:
+        return False
+    one, predicate, anchors = ways[int(rng.integers(len(ways)))]
+    one["qualifier"] = {"predicate": predicate, "anchors": anchors}
+    files.word()
+    return True
+
+
+def _supported(files: Files, world: World, predicate: str) -> list[Change]:
+    """Stops and true conditions about things that rest on another, which are said to have a predicate to it."""
     named = [*files.conditions, *(move for leaf in files.leaves for move in leaf["moves"])]
+    ways = []
     for one in named:
         room = one["room"]["room_id"]
         own = [one["object_id"]] if "object_id" in one else one["witnesses"]
         for anchor in _alone(world, room, one["label"]):
             if any(world.status(room, "on", name, anchor["object_id"]) == 1 for name in own):
-                ways.append((one, anchor))
-    if not ways:
-        return False
-    one, anchor = ways[int(rng.integers(len(ways)))]
-    one["qualifier"] = {"predicate": "above", "anchors": [anchor]}
-    files.word()
-    return True
+                ways.append((one, predicate, [anchor]))
+    return ways
+
+
+@mutator
+def say_a_support_as_above(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """A stop or a true condition is about a thing that rests on another, and says that it is above it."""
+    return _said(files, rng, _supported(files, world, "above"))
 
 
 @mutator
@@ -67,13 +77,8 @@ def say_what_a_rival_fits(files: Files, rng: np.random.Generator, world: World) 
             for predicate in PAIR_PREDICATES:
                 own = world.status(room, predicate, name, anchor["object_id"])
                 if own == 1 and any(world.status(room, predicate, x, anchor["object_id"]) != -1 for x in rivals):
-                    ways.append((stop, predicate, anchor))
-    if not ways:
-        return False
-    stop, predicate, anchor = ways[int(rng.integers(len(ways)))]
-    stop["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
-    files.word()
-    return True
+                    ways.append((stop, predicate, [anchor]))
+    return _said(files, rng, ways)
 
 
 @mutator
@@ -87,22 +92,17 @@ def say_between_wrong_anchors(files: Files, rng: np.random.Generator, world: Wor
             if stop["object_id"] not in {anchor["object_id"] for anchor in pair}:
                 places = np.array([[order[anchor["object_id"]] for anchor in pair]])
                 if world.facts[room].between(places)[0][order[stop["object_id"]], 0] != 1:
-                    ways.append((stop, pair))
-    if not ways:
-        return False
-    stop, pair = ways[int(rng.integers(len(ways)))]
-    stop["qualifier"] = {"predicate": "between", "anchors": list(pair)}
-    files.word()
-    return True
+                    ways.append((stop, "between", list(pair)))
+    return _said(files, rng, ways)
 
 
 @mutator
 def turn_a_superlative(files: Files, rng: np.random.Generator, world: World) -> bool:
     """The bigger is said to be the smaller; the closest to one thing is said to be the closest to another."""
-    ways: list[tuple[Document, Document]] = []
+    ways: list[Change] = []
     for one in _qualified(files, "bigger", "smaller"):
         other = "smaller" if one["qualifier"]["predicate"] == "bigger" else "bigger"
-        ways.append((one, {"predicate": other, "anchors": []}))
+        ways.append((one, other, []))
     for one in _qualified(files, "closest to"):
         room = one["room"]["room_id"]
         ids = world.scene.arrays(room).object_ids
@@ -112,16 +112,11 @@ def turn_a_superlative(files: Files, rng: np.random.Generator, world: World) -> 
         rivals[mine, [order[x] for x in world.objects_like(room, one["label"]) if x != one["object_id"]]] = True
         status = world.facts[room].closest(rivals)[0][mine]
         ways += [
-            (one, {"predicate": "closest to", "anchors": [anchor]})
+            (one, "closest to", [anchor])
             for anchor in _alone(world, room, one["label"])
             if status[order[anchor["object_id"]]] != 1
         ]
-    if not ways:
-        return False
-    one, qualifier = ways[int(rng.integers(len(ways)))]
-    one["qualifier"] = qualifier
-    files.word()
-    return True
+    return _said(files, rng, ways)
 
 
 @mutator
@@ -133,32 +128,14 @@ def find_by_a_small_thing(files: Files, rng: np.random.Generator, world: World) 
         for anchor in _alone(world, room, stop["label"]):
             if anchor["label"] in words().roles["portable"]:
                 true = [p for p in PAIR_PREDICATES if world.status(room, p, name, anchor["object_id"]) == 1]
-                ways += [(stop, predicate, anchor) for predicate in true]
-    if not ways:
-        return False
-    stop, predicate, anchor = ways[int(rng.integers(len(ways)))]
-    stop["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
-    files.word()
-    return True
+                ways += [(stop, predicate, [anchor]) for predicate in true]
+    return _said(files, rng, ways)
 
 
 @mutator
 def say_a_support_as_near(files: Files, rng: np.random.Generator, world: World) -> bool:
     """A stop or a true condition is about a thing that rests on another, and says that it is near it."""
-    ways = []
-    named = [*files.conditions, *(move for leaf in files.leaves for move in leaf["moves"])]
-    for one in named:
-        room = one["room"]["room_id"]
-        own = [one["object_id"]] if "object_id" in one else one["witnesses"]
-        for anchor in _alone(world, room, one["label"]):
-            if any(world.status(room, "on", name, anchor["object_id"]) == 1 for name in own):
-                ways.append((one, anchor))
-    if not ways:
-        return False
-    one, anchor = ways[int(rng.integers(len(ways)))]
-    one["qualifier"] = {"predicate": "near", "anchors": [anchor]}
-    files.word()
-    return True
+    return _said(files, rng, _supported(files, world, "near"))
 
 
 @mutator
@@ -175,13 +152,8 @@ def deny_what_is_not_clearly_so(files: Files, rng: np.random.Generator, world: W
             for predicate in ("near", *COMPASS):
                 status = {world.status(room, predicate, x, anchor["object_id"]) for x in others}
                 if 1 not in status and not all(world.denied(room, predicate, x, anchor["object_id"]) for x in others):
-                    ways.append((condition, predicate, anchor))
-    if not ways:
-        return False
-    condition, predicate, anchor = ways[int(rng.integers(len(ways)))]
-    condition["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
-    files.word()
-    return True
+                    ways.append((condition, predicate, [anchor]))
+    return _said(files, rng, ways)
 
 
 def _asked_wrongly(files: Files, world: World, predicates: tuple[str, ...], doubtful: Doubt) -> list[Change]:
@@ -197,17 +169,8 @@ def _asked_wrongly(files: Files, world: World, predicates: tuple[str, ...], doub
                 if 1 in status or denied or not names:
                     continue
                 if any(doubtful(room, predicate, x, anchor["object_id"]) for x in names):
-                    ways.append((condition, predicate, anchor))
+                    ways.append((condition, predicate, [anchor]))
     return ways
-
-
-def _said(files: Files, rng: np.random.Generator, ways: list[Change]) -> bool:
-    if not ways:
-        return False
-    one, predicate, anchor = ways[int(rng.integers(len(ways)))]
-    one["qualifier"] = {"predicate": predicate, "anchors": [anchor]}
-    files.word()
-    return True
 
 
 @mutator
@@ -242,7 +205,7 @@ def say_the_direction_from_one_point(files: Files, rng: np.random.Generator, wor
                     and world.status(room, predicate, name, anchor["object_id"]) == 0
                     and by_centres(room, predicate, name, anchor["object_id"])
                 ):
-                    ways.append((stop, predicate, anchor))
+                    ways.append((stop, predicate, [anchor]))
     return _said(files, rng, ways)
 
 
@@ -259,10 +222,5 @@ def compare_what_no_size_tells_apart(files: Files, rng: np.random.Generator, wor
         rivals[np.ix_(order, order)] = True
         np.fill_diagonal(rivals, False)
         sizes = world.facts[room].sizes(rivals)
-        ways += [(stop, predicate) for predicate, status in sizes.items() if status[ids.index(name)] != 1]
-    if not ways:
-        return False
-    stop, predicate = ways[int(rng.integers(len(ways)))]
-    stop["qualifier"] = {"predicate": predicate, "anchors": []}
-    files.word()
-    return True
+        ways += [(stop, predicate, []) for predicate, status in sizes.items() if status[ids.index(name)] != 1]
+    return _said(files, rng, ways)

@@ -61,3 +61,28 @@ def other_surfaces(files: Files, rng: np.random.Generator, world: World) -> bool
     files.manifest["observability_approximate"] = among_boxes
     files.record["info"]["observability_approximate"] = among_boxes
     return True
+
+
+def _appears(factor: float) -> Mutator:
+    """Evidence that appears so many times as large; a floor gets an angle."""
+
+    def mutate(files: Files, rng: np.random.Generator, world: World) -> bool:
+        place = pick(rng, files.manifest["evidence"])
+        degrees = place["degrees"]
+        place["degrees"] = 3.0 if degrees is None else round(degrees * factor, 2)
+        return True
+
+    return mutate
+
+
+for _name, _factor in (("a_smaller_angle", 0.8), ("a_larger_angle", 1.25)):
+    MUTATORS[_name] = _appears(_factor)
+
+
+@mutator
+def no_angle(files: Files, rng: np.random.Generator, world: World) -> bool:
+    some = [one for one in files.manifest["evidence"] if one["degrees"] is not None]
+    if not some:
+        return False
+    pick(rng, some)["degrees"] = None
+    return True

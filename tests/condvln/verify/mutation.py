@@ -18,13 +18,27 @@ from condvln.instructions import render, with_preamble
 from condvln.instructions.rendering import names_compass
 from condvln.relations import TextFacts
 from condvln.scene import Scene
+from condvln.verify.certificate import Certificate
 from condvln.verify.files import Row
-from condvln.verify.heading import heading_of, yaw_of
+from condvln.verify.referents import SceneReferents
+from condvln.verify.standpoint import heading_of, yaw_of
+from condvln.verify.surfaces import Shapes
+from condvln.verify.text_check import check_meaning
 from condvln.verify.words import words
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
 
 Document = dict[str, Any]
+LEAST = 0.99
+"""Share of the mutants of each kind that must be caught."""
+
+
+def problems(row: Row, scene: Scene, made_export: Any, shapes: Shapes) -> set[str]:
+    """Facts of a text's meaning that the verifier finds wrong in a scene."""
+    certificate = Certificate(row.manifest.episode_id, row.manifest.source, row.manifest.scene_id, row.split)
+    referents = SceneReferents(scene, made_export.rules.thresholds, made_export.rules.anchor_size, shapes)
+    check_meaning(row.manifest, referents, made_export.rules, certificate)
+    return {disagreement.fact for disagreement in certificate.disagreements}
 
 
 @dataclass

@@ -16,10 +16,9 @@ from rich.console import Console
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.samples import make_samples
 from condvln.sources.registry import open_source
-from condvln.verify.certificate import Certificate
+from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.files import ExportFiles, Row
 from condvln.verify.proof import prove_scene
-from condvln.verify.rules import VerifierRules
 from condvln.verify.standpoint import BEARINGS, inside_outline
 from condvln.verify.surfaces import Shapes
 from jobs.generate import run_generate

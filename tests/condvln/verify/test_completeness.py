@@ -12,12 +12,12 @@ import orjson
 import pytest
 
 from condvln.export.contents import INDEX, ORIGIN, document_digest
-from condvln.export.snapshot import ExportConfig, export_snapshot
-from condvln.verify.completeness import find_faults, row_counts
+from condvln.export.snapshot import export_snapshot
+from condvln.verify.files import find_faults, row_counts
 from schemas.config import SplitsConfig
 from tests.made_snapshot import made_snapshot
 
-CONFIG = ExportConfig(splits=SplitsConfig(bias="off"))
+CONFIG = SplitsConfig(bias="off")
 SCENES = ["apt_0", "v3_sc0_staging_00", "v3_sc1_staging_00"]
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import orjson
 import pytest
 
+from condvln.episodes.identity import numeric_id
 from condvln.verify.certificate import Certificate
 from condvln.verify.corpus import Corpus
 from condvln.verify.files import ExportFiles
@@ -42,7 +43,6 @@ def test_each_scene_comes_once_with_all_that_belongs_to_its_rows(made_export) ->
     lines = [p.read_bytes().splitlines() for p in (made_export.folder / "manifest").glob("*.jsonl")]
     assert len(made_export.rows) == sum(map(len, lines))
     for row in made_export.rows:
-        assert row.record is not None
         assert row.truth is not None
         assert row.record["episode_id"] == row.manifest.episode_id
 
@@ -92,14 +92,6 @@ def test_a_cut_document_is_an_error(export: Path, keep: float) -> None:
         list(ExportFiles(export).runs())
 
 
-def test_damaged_gzip_is_an_error(export: Path) -> None:
-    split = split_of(export)
-    path = export / "vlnce" / split / f"{split}.json.gz"
-    path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(FormatError):
-        list(ExportFiles(export).runs())
-
-
 def test_no_export_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="no manifest"):
         ExportFiles(tmp_path)
@@ -131,7 +123,7 @@ def test_an_id_is_that_of_its_hash(made_export) -> None:
 
 def test_repeats_are_found(made_export) -> None:
     row = made_export.rows[0].manifest.model_copy(update={"split": "train", "group_id": None})
-    other = row.model_copy(update={"episode_id": "other", "episode_hash": "other"})
+    other = row.model_copy(update={"episode_id": numeric_id("other"), "episode_hash": "other"})
     assert disagreements([("train", row), ("train", row)])[1] == ["unique_id"]
     assert disagreements([("train", row), ("train", other)])[1] == ["program_once", "unique_episode"]
 
@@ -150,7 +142,12 @@ def test_a_scene_in_two_groups_of_splits_is_found(made_export) -> None:
 
 def test_a_program_in_two_splits_is_found(made_export) -> None:
     row = made_export.rows[0].manifest.model_copy(update={"split": "train", "group_id": None})
-    moved = {"episode_id": "other", "episode_hash": "other", "split": "val_seen", "start_position": (9.0, 0.0, 9.0)}
+    moved = {
+        "episode_id": numeric_id("other"),
+        "episode_hash": "other",
+        "split": "val_seen",
+        "start_position": (9.0, 0.0, 9.0),
+    }
     found = disagreements([("train", row), ("val_seen", row.model_copy(update=moved))])
     assert found[1] == ["program_leakage", "program_once"]
 
@@ -167,7 +164,7 @@ def group_of(row):
         own = program.model_copy(update={"conditions": conditions, "leaves": leaves})
         name = f"member {turned} {exchanged}"
         update = {
-            "episode_id": name,
+            "episode_id": numeric_id(name),
             "episode_hash": name,
             "instruction_text": name,
             "group_id": "g",

@@ -10,21 +10,9 @@ import numpy as np
 import pytest
 
 from condvln.scene import MeshPart, Scene, SceneObject, round_mm
-from condvln.verify.certificate import Certificate
 from condvln.verify.files import Row
-from condvln.verify.referents import SceneReferents
 from condvln.verify.surfaces import Shapes
-from condvln.verify.text_check import check_meaning
-
-LEAST = 0.99
-"""Share of the mutants of each kind that must be caught."""
-
-
-def problems(row: Row, scene: Scene, made_export, shapes: Shapes) -> set[str]:
-    certificate = Certificate(row.manifest.episode_id, row.manifest.source, row.manifest.scene_id, row.split)
-    referents = SceneReferents(scene, made_export.rules.thresholds, made_export.rules.anchor_size, shapes)
-    check_meaning(row.manifest, referents, made_export.rules, certificate)
-    return {disagreement.fact for disagreement in certificate.disagreements}
+from tests.condvln.verify.mutation import LEAST, problems
 
 
 def put(scene: Scene, item: SceneObject) -> Scene:
@@ -66,7 +54,8 @@ def mutants(row: Row, scene: Scene) -> Iterator[tuple[str, Scene]]:
             yield "upright", put(scene, tilted(item, 15.0))
 
 
-def check(made_export, every: int) -> None:
+@pytest.mark.parametrize("every", [12, pytest.param(3, marks=pytest.mark.soak)])
+def test_texts_about_what_a_box_cannot_tell_are_not_proven(made_export, every: int) -> None:
     tried: Counter[str] = Counter()
     caught: Counter[str] = Counter()
     for run in made_export.runs:
@@ -83,12 +72,3 @@ def check(made_export, every: int) -> None:
     assert set(tried) == {"look-alike", "second box", "fallen", "upright"}
     for kind, count in tried.items():
         assert caught[kind] == 0 if kind == "upright" else caught[kind] >= LEAST * count, (kind, caught[kind], count)
-
-
-def test_texts_about_what_a_box_cannot_tell_are_not_proven(made_export) -> None:
-    check(made_export, every=12)
-
-
-@pytest.mark.soak
-def test_all_texts_about_what_a_box_cannot_tell_are_not_proven(made_export) -> None:
-    check(made_export, every=1)

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from condvln.episodes.observability import common_prefix
-from condvln.verify.kernels.parting import shared_lengths
-from condvln.verify.lookouts import stands
-from schemas.config.constants import EYE_SPACING, PREFIX_SAMPLES, PREFIX_STRAY
+from condvln.verify import observability
+from condvln.verify.observability import measured, stands
+from schemas.config.constants import EYE_SPACING, PREFIX_SAMPLES
 
 
 def way(*corners: tuple[float, float]) -> np.ndarray:
@@ -18,9 +18,7 @@ def way(*corners: tuple[float, float]) -> np.ndarray:
 
 
 def shared_length(ways: list[np.ndarray]) -> float:
-    ends = np.cumsum([len(one) for one in ways])
-    rows = np.array([len(ways)])
-    return float(shared_lengths(np.concatenate(ways), ends, rows, PREFIX_SAMPLES, PREFIX_STRAY)[0][0])
+    return observability.shared_length(*measured(ways))
 
 
 def test_ways_at_a_right_angle_part_a_step_s_diagonal_after_the_fork() -> None:
@@ -28,7 +26,7 @@ def test_ways_at_a_right_angle_part_a_step_s_diagonal_after_the_fork() -> None:
     ways = [way((0, 0), (2, 0), (2, 3)), way((0, 0), (2, 0), (5, 0))]
     assert shared_length(ways) == pytest.approx(2.15)
     assert shared_length(ways[::-1]) == pytest.approx(2.15)
-    ((places,),) = stands([ways])
+    (places,) = stands(ways)
     np.testing.assert_allclose(np.diff(np.linspace(0, 2.15, 6)), 0.43)
     np.testing.assert_allclose(places[:5], way(*((0.43 * k, 0) for k in range(5))), atol=1e-12)
     np.testing.assert_allclose(places[5], [2.0, 0.0, 0.15], atol=1e-12)
@@ -46,8 +44,8 @@ def test_the_same_way_is_shared_to_the_shortest_end() -> None:
 
 
 def test_a_whole_number_of_looks_may_be_cut_in_either_number_of_parts() -> None:
-    assert [len(places) for places in stands([[way((0, 0), (1.5, 0))] * 2])[0]] == [4, 5]
-    assert [len(places) for places in stands([[way((0, 0), (1.4, 0))] * 2])[0]] == [4]
+    assert [len(places) for places in stands([way((0, 0), (1.5, 0))] * 2)] == [4, 5]
+    assert [len(places) for places in stands([way((0, 0), (1.4, 0))] * 2)] == [4]
 
 
 corner = st.tuples(st.floats(-5, 5), st.floats(-5, 5)).map(lambda at: (round(at[0], 3), round(at[1], 3)))
@@ -58,7 +56,7 @@ corner = st.tuples(st.floats(-5, 5), st.floats(-5, 5)).map(lambda at: (round(at[
 def test_the_places_are_the_factory_s(tails, shared) -> None:
     ways = [way((0, 0), *shared, *tail) for tail in tails]
     prefix = common_prefix(ways)
-    (answers,) = stands([ways])
+    answers = stands(ways)
     sides = np.linalg.norm(np.diff(prefix, axis=0), axis=1)
     assert sides.sum() == pytest.approx(shared_length(ways), abs=PREFIX_SAMPLES / 1e6)
     walked = np.concatenate([[0.0], np.cumsum(sides)])
@@ -67,9 +65,3 @@ def test_the_places_are_the_factory_s(tails, shared) -> None:
     theirs = np.stack([np.interp(at, walked, prefix[:, axis]) for axis in range(3)], axis=1)
     (fitting,) = [places for places in answers if len(places) == len(theirs)]
     np.testing.assert_allclose(fitting, theirs, atol=1e-9)
-    for other, its in zip(stands([ways[::-1], ways, [ways[0]] * 2])[1], answers, strict=True):
-        np.testing.assert_array_equal(other, its)
-
-
-def test_no_episodes_have_no_places() -> None:
-    assert stands([]) == []

@@ -25,7 +25,7 @@ from mutants import MUTATORS, Files, World
 
 ROUNDS = 1
 """Times that each mutator is tried on each episode; some 2,400 mutants."""
-SOAK_ROUNDS = 3
+SOAK_ROUNDS = 2
 LEAST = 0.99
 """Share of mutants that must be caught."""
 
@@ -78,7 +78,8 @@ def _survivors(made_export, made) -> list[tuple[str, str, str]]:
     return survivors
 
 
-def _check(made_export, seed: int, rounds: int) -> None:
+@pytest.mark.parametrize(("seed", "rounds"), [(0, ROUNDS), pytest.param(1, SOAK_ROUNDS, marks=pytest.mark.soak)])
+def test_mutants_are_caught(made_export, seed: int, rounds: int) -> None:
     made, refused = _mutants(made_export, seed, rounds)
     tried = Counter(name for rows in made.values() for name, _ in rows) + refused
     survivors = _survivors(made_export, made)
@@ -132,13 +133,3 @@ def test_mutants_of_groups_are_caught(made_export) -> None:
     print(f"\n{tried} mutants of members of groups")
     assert tried, "the made export has no counterfactual groups"
     assert not survivors
-
-
-def test_mutants_are_caught(made_export) -> None:
-    _check(made_export, seed=0, rounds=ROUNDS)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("seed", [1])
-def test_many_mutants_are_caught(made_export, seed: int) -> None:
-    _check(made_export, seed, SOAK_ROUNDS)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
+from condvln.scene.scene import STRUCTURE, SceneGeometry
 from condvln.verify.certificate import Certificate
 from condvln.verify.files import Row
 from condvln.verify.proof import prove_scene
@@ -41,7 +41,7 @@ def only(*boxes: tuple[np.ndarray, np.ndarray]) -> SceneGeometry:
 def test_among_other_walls_other_things_are_seen(made_export) -> None:
     opened = shut = 0
     for run in made_export.runs[:4]:
-        rows = [row for row in run.rows if row.manifest.group_id is None]
+        rows = list(run.rows)
         far = np.array([500.0, 0.0, 500.0])
         nothing = proven(made_export, run, rows, only((far, far + 1.0)))
         # A shell about everybody's head: 2 cm wide, from the start's eye.
@@ -59,6 +59,22 @@ def test_among_other_walls_other_things_are_seen(made_export) -> None:
             opened += "observability" in refuted(free)
     assert opened >= 10
     assert shut >= 10
+
+
+def test_stops_from_which_nothing_is_seen_are_refuted(made_export) -> None:
+    """A shell about the head of everybody who stops: every episode leads to a stop that is not recognised."""
+    run = made_export.runs[0]
+    rows = list(run.rows)[:12]
+    places = {goal for row in rows for leaf in row.manifest.leaves for goal in leaf.goals}
+    eyes = [np.array(place) + np.array([0.0, 1.25, 0.0]) for place in sorted(places)]
+    for blind, certificates in (
+        (False, proven(made_export, run, rows, made_export.surfaces[run.scene_id])),
+        (True, proven(made_export, run, rows, only(*((eye - 0.02, eye + 0.02) for eye in eyes)))),
+    ):
+        for row, certificate in zip(rows, certificates, strict=True):
+            named = [d.found for d in certificate.disagreements if d.fact == "stop_seen"]
+            assert len(named) == blind
+            assert not blind or {leaf.object_id for leaf in row.manifest.leaves} <= {*named[0]}
 
 
 def test_both_numbers_are_told(made_export) -> None:
@@ -140,3 +156,48 @@ def test_what_the_scene_does_not_have_is_never_seen(made_export) -> None:
     mutant = changed(row, program=program.model_copy(update={"conditions": gone}))
     (certificate,) = proven(made_export, run, [mutant], made_export.surfaces[run.scene_id])
     assert "observability" in refuted(certificate)
+
+
+def test_presence_that_nobody_can_deny_is_refuted_with_either_truth(made_export) -> None:
+    """A pen is never recognised on the floor: nobody can see that there is none."""
+    asked = 0
+    for run in made_export.runs:
+        for row in run.rows:
+            conditions = row.manifest.program.conditions
+            k = next((k for k, one in enumerate(conditions) if one.qualifier is None), None)
+            if k is None:
+                continue
+            asked += 1
+            pen = conditions[k].model_copy(update={"label": "pen"})
+            program = row.manifest.program.model_copy(
+                update={"conditions": (*conditions[:k], pen, *conditions[k + 1 :])}
+            )
+            surfaces = made_export.surfaces[run.scene_id]
+            sound, changed_one = proven(made_export, run, [row, changed(row, program=program)], surfaces)
+            assert "absence_seen" not in {d.fact for d in sound.disagreements}
+            assert [d.place for d in changed_one.disagreements if d.fact == "absence_seen"] == [f"condition {k}"]
+            break
+    assert asked
+
+
+def test_a_relation_of_what_is_not_there_is_refuted_as_its_absence_is(made_export) -> None:
+    """ "A pen near the sink" is false where there is no pen, which nobody can see. Of a true one nothing is asked."""
+    asked = 0
+    for run in made_export.runs:
+        for row in run.rows:
+            conditions = row.manifest.program.conditions
+            k = next((k for k, one in enumerate(conditions) if one.qualifier is not None and not one.is_bearing), None)
+            if k is None:
+                continue
+            asked += 1
+            surfaces = made_export.surfaces[run.scene_id]
+            for truth in (False, True):
+                said = {"label": "pen", "definite": False, "truth": truth, "witnesses": ("pen",) * truth}
+                pen = conditions[k].model_copy(update=said)
+                changes = {"conditions": (*conditions[:k], pen, *conditions[k + 1 :])}
+                program = row.manifest.program.model_copy(update=changes)
+                (found,) = proven(made_export, run, [changed(row, program=program)], surfaces)
+                places = [d.place for d in found.disagreements if d.fact == "absence_seen"]
+                assert places == ([] if truth else [f"condition {k}"])
+            break
+    assert asked > 2

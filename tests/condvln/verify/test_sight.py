@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections import Counter
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -11,26 +13,36 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.stats import binom
 
 from condvln.episodes.floor import floor_points
 from condvln.episodes.goals import blocked_footprints, wide_islands
 from condvln.episodes.view import SceneView
-from condvln.navigation.occluders import BoxOccluders
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.navigation.sight import View, in_view
+from condvln.navigation.sight import Recognition, SightTarget, View, in_view, visible_extent
 from condvln.scene import OrientedBox, Room, Scene
-from condvln.scene.geometry import STRUCTURE, SceneGeometry
-from condvln.verify import sight as module
-from condvln.verify.footprints import Obstacles
-from condvln.verify.ground_points import ground_points
-from condvln.verify.kernels.looking import in_front, in_range
+from condvln.scene.scene import STRUCTURE, SceneGeometry
+from condvln.verify.footprints import Obstacles, ground_points
 from condvln.verify.proof import find_navmesh
-from condvln.verify.sight import ODDS, OWN_POINTS, Eyes, Sight, _Points, evenly, much
+from condvln.verify.sight import (
+    MANY,
+    ODDS,
+    OWN_POINTS,
+    Eyes,
+    Sight,
+    _Points,
+    evenly,
+    in_front,
+    in_range,
+    much,
+    rectangles,
+)
 from schemas.config import EpisodeConfig, PlacesConfig
-from schemas.config.constants import FIRST_VIEW_DEGREES
+from schemas.config.constants import LEVEL_CAMERA
 from tests.condvln.episodes.floors import box, box_triangles, surfaces_of
 
+F64 = NDArray[np.float64]
 LEAST = 0.05
 
 
@@ -72,9 +84,21 @@ def test_of_a_surface_nobody_can_contradict_little_or_all() -> None:
     assert much(1.0, OWN_POINTS) > 1.0
 
 
-def seen(own: int, published: int) -> bool:
-    where = _Points(np.zeros((128, 3)), 64, -1, LEAST)
-    return where.is_seen(np.concatenate([np.arange(64) < own, np.arange(64) < published]))
+EYES: F64 = np.zeros((1, 3))
+WIDE = np.array([[-1.0, -1.0, -3.0], [1.0, 1.0, -3.0]])
+"""Two corners of a square of 2 m, 3 m ahead: 35° apart."""
+SIDES = (2.5, 4.0)
+
+
+def spread(corners: F64 = WIDE) -> F64:
+    """64 points, by turns at either of two corners."""
+    return np.tile(corners, (32, 1))
+
+
+def seen(own: int, published: int, ours: F64 = WIDE, theirs: F64 = WIDE) -> bool:
+    where = _Points(np.concatenate([spread(ours), spread(theirs)]), 64, np.full(128, -1), LEAST, SIDES)
+    (found,) = where.recognised(np.concatenate([np.arange(64) < own, np.arange(64) < published])[None], EYES)
+    return bool(found)
 
 
 def test_own_points_decide_where_they_are_sure_and_published_ones_between() -> None:
@@ -86,21 +110,37 @@ def test_own_points_decide_where_they_are_sure_and_published_ones_between() -> N
     assert seen(4, 64)
 
 
-def test_many_lines_together_are_judged_as_each_by_itself() -> None:
-    draw = np.random.default_rng(4)
-    for where in (_Points(np.zeros((128, 3)), 64, -1, LEAST), _Points(np.zeros((10, 3)), 0, -1, 0.8)):
-        lines = draw.uniform(size=(300, len(where.points))) < draw.uniform(size=(300, 1)) ** 3
-        lines[::3, : where.own] = draw.uniform(size=(100, where.own)) < 0.05
-        found = where.are_seen(lines)
-        assert found == [where.is_seen(line) for line in lines]
-        assert len(set(found)) == 2
+def test_own_rectangles_decide_where_they_are_twice_as_large_or_half_as_large() -> None:
+    def corners(degrees: float) -> F64:
+        return np.array([[0.0, 0.0, -3.0], [3 * np.tan(np.radians(degrees)), 0.6, -3.0]])
+
+    small, fair, large = corners(1.2), corners(2.6), corners(5.1)
+    assert seen(64, 64, fair, fair)
+    assert seen(64, 64, large, small), "published points that miss how large it is"
+    assert not seen(64, 64, fair, small)
+    assert not seen(64, 64, small, fair), "published points that are not on the surface"
+    assert seen(MANY - 1, 64, small, fair), "too few to be sure"
+
+
+@given(
+    azimuths=st.lists(st.integers(-170, 170), min_size=1, max_size=6, unique=True),
+    elevation=st.integers(-60, 60),
+    hidden=st.sets(st.integers(0, 5)),
+)
+def test_the_rectangle_is_that_of_the_generator(azimuths: list[int], elevation: int, hidden: set[int]) -> None:
+    a, e = np.radians(azimuths), np.radians(elevation + np.arange(len(azimuths)))
+    points = np.stack([np.sin(a) * np.cos(e), np.sin(e), -np.cos(a) * np.cos(e)], axis=1) * 2.5
+    mask = np.array([[k not in hidden for k in range(len(points))]])
+    np.testing.assert_allclose(rectangles(EYES, points, mask), visible_extent(EYES, points, mask), atol=1e-9)
 
 
 def test_floors_and_things_known_as_a_point_have_one_set_of_points() -> None:
-    floor = _Points(np.zeros((10, 3)), 0, -1, 0.8)
-    assert [floor.is_seen(np.arange(10) < count) for count in (0, 7, 8, 10)] == [False, False, True, True]
-    point = _Points(np.zeros((1, 3)), 0, -1, LEAST)
-    assert [point.is_seen(np.array([hit])) for hit in (False, True)] == [False, True]
+    floor = _Points(np.zeros((10, 3)), 0, np.full(10, -1), 0.8)
+    assert [floor.is_covered((np.arange(10) < k)[None]) for k in (0, 7, 8, 10)] == [False, False, True, True]
+    halves = np.array([np.arange(10) < 4, np.arange(10) >= 6])
+    assert floor.is_covered(halves), "each point from some place"
+    point = _Points(np.array([[0.0, 0.0, -1.0]]), 0, np.full(1, -1), LEAST, SIDES)
+    assert not point.recognised(np.array([[True]]), EYES)[0], "a point has no size"
 
 
 # -- looks: an eye at x = -1, a chest at x = 1, a vase behind it at x = 3 ---------------------------------------------
@@ -132,11 +172,12 @@ def sees(
         PlacesConfig(),
         EpisodeConfig(floor_seen=0.7),
     )
-    sought = [("thing", "chest"), ("thing", "vase"), ("floor", "r"), ("thing", "ghost"), ("floor", "cellar")]
+    sought = [("thing", "chest", 0.0), ("thing", "vase", 0.0), ("thing", "ghost", 0.0)]
+    sought += [("floor", "r", 5.0), ("floor", "cellar", 5.0)]
     sight.look((one, EYE) for one in sought)
     sight.look((one, EYE) for one in sought)  # asked again, and cast once
     assert sight.approximate == (geometry is None or geometry.approximate)
-    return {name: sight.is_seen((kind, name), EYE, yaw) for kind, name in sought}
+    return {one[1]: sight.is_seen(one, EYE, yaw) for one in sought}
 
 
 def overlapping_parts() -> st.SearchStrategy[tuple[OrientedBox, ...]]:
@@ -157,37 +198,41 @@ def test_published_points_are_seen_as_the_generator_sees_them(
     scene, eyes = Scene("made", "flat", Path("."), (), (whole,)), Eyes(np.array([place]))
     none: Any = lambda item: False  # noqa: E731
     sight = Sight(scene, None, none, none, lambda room_id: np.empty((0, 3)), PlacesConfig(), EpisodeConfig())
-    sight.look([(("thing", "counter"), eyes)])
+    sight.look([(("thing", "counter", 0.0), eyes)])
     view = SceneView(scene)
-    around = View(range=PlacesConfig().sight_range, pitch=FIRST_VIEW_DEGREES / 2)
+    around = View(range=PlacesConfig().sight_range, pitch=LEVEL_CAMERA[1] / 2)
     expected = view.seen(eyes.places, view.target("counter"), around).mean()
-    assert sight.shares(("thing", "counter"), eyes)[-1] == round(float(expected), 3)
+    assert sight.shares(("thing", "counter", 0.0), eyes)[-1] == round(float(expected), 3)
 
 
-def test_many_walks_of_a_scene_keep_few_lines_of_sight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is forgotten is cast again, with the same answers."""
-
-    def faced() -> tuple[list[bool], int]:
-        none: Any = lambda item: False  # noqa: E731
-        floor: Any = lambda room_id: np.empty((0, 3))  # noqa: E731
-        sight = Sight(chest_and_vase(), None, none, none, floor, PlacesConfig(), EpisodeConfig())
-        draw = np.random.default_rng(3)
-        walks = [draw.uniform([-1, 1.2, -2], [5, 1.3, 2], (20, 3)) for _ in range(30)]
-        found, most = [], 0
-        for eyes in [*walks, *walks]:
-            for name in ("chest", "vase"):
-                found.append(sight.is_faced(("thing", name), eyes[:2], draw.uniform(0, 6, 2), 60.0))
-                sight.is_faced(("thing", name), eyes, np.zeros(20), 60.0)
-                most = max(most, sum(row.size for lines in sight._lines.values() for row in lines.seen.values()))
-        return found, most
-
-    unbounded, all_of_them = faced()
-    monkeypatch.setattr(module, "LINES_KEPT", 10_000)
-    bounded, few = faced()
-    assert bounded == unbounded
-    assert {True, False} <= {*bounded}
-    # The bound, and the lines of the call that went over it.
-    assert few <= 10_000 + 22 * 128 < all_of_them
+def test_frames_show_what_the_generator_s_level_camera_shows() -> None:
+    """The first frame by which a thing is recognised in one, or a floor is seen in several together."""
+    floor = np.stack(np.meshgrid(np.arange(-2, 6, 0.4), [0.05], np.arange(-3, 3, 0.4)), -1).reshape(-1, 3)
+    none: Any = lambda item: False  # noqa: E731
+    places, rules = PlacesConfig(), EpisodeConfig(floor_seen=0.5)
+    scene = chest_and_vase()
+    sight = Sight(scene, None, none, none, lambda room_id: floor, places, rules)
+    view, rule = SceneView(scene), Recognition.of(places, rules)
+    wide, high = LEVEL_CAMERA
+    draw, found = np.random.default_rng(3), Counter[str]()
+    for _ in range(200):
+        eyes, yaws = draw.uniform([-1, 1.2, -2], [5, 1.3, 2], (8, 3)), draw.uniform(0, 6, 8)
+        for name in ("chest", "vase", "r"):
+            room = name == "r"
+            target = SightTarget(floor) if room else view.target(name)
+            assert target is not None
+            camera = View(range=6.0 if room else places.sight_range, horizontal_fov=wide, vertical_fov=high)
+            seen = view.seen(eyes, target, View(range=camera.range)) & in_view(eyes, target.samples, camera, yaws)
+            if room:
+                known = np.logical_or.accumulate(seen, axis=0).mean(axis=1) >= rules.floor_seen
+            else:
+                known = rule.holds(seen, visible_extent(eyes, target.samples, seen))
+            expected = int(known.argmax()) if known.any() else None
+            found[name] += expected is not None
+            sought = ("floor", "r", 6.0) if room else ("thing", name, 0.0)
+            assert sight.first_frame(sought, eyes, yaws) == expected
+    assert min(found.values()) > 20, found
+    assert max(found.values()) < 200, found
 
 
 def test_boxes_hide_where_surfaces_are_not_known() -> None:
@@ -250,52 +295,31 @@ def test_a_frame_hides_nothing_of_what_is_on_it() -> None:
         assert sight.met([("vase", sight.surface("vase", 64))], np.array([[0.0, 1.25, 0.0]]), [1]) == [seen]
 
 
-@pytest.mark.parametrize("eyes", [1, 7, 40, 700])
-def test_things_are_met_together_as_by_each_eye_alone(eyes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Around a wall that hides a vase from half of the room, and all but the top of another one."""
-    monkeypatch.setattr(module, "EYES_AT_ONCE", 16)
-    monkeypatch.setattr(module, "RAYS_AT_ONCE", 512)
-    wall = dataclasses.replace(box("wall", 1.0, 0.3, 0.2, 0.0, 2.0), object_id="wall", room_id="r")
-    vase = dataclasses.replace(box("vase", 1.6, 0.0, 0.2, 0.5, 1.5), object_id="vase", room_id="r")
-    lamp = dataclasses.replace(box("lamp", 1.6, 0.5, 0.2, 0.5, 2.5), object_id="lamp", room_id="r")
-    scene = Scene("made", "flat", Path("."), (ROOM,), (wall, vase, lamp))
-    nothing = np.empty((0, 3))
-    sight = Sight(
-        scene, None, lambda item: False, lambda item: False, lambda room_id: nothing, PlacesConfig(), EpisodeConfig()
-    )
-    rng = np.random.default_rng(eyes)
-    places = rng.uniform([-1.0, 1.0, -1.0], [0.5, 1.4, 1.0], (eyes, 3))
-    boxes = BoxOccluders.of_aabbs([x.box for x in scene.objects])
-    things = [(x.object_id, sight.surface(x.object_id, 64 + 8 * k)) for k, x in enumerate(scene.objects)]
-    shown = []
-    for number, (_, points) in enumerate(things):
-        lines = np.repeat(places, len(points), axis=0), np.tile(points, (eyes, 1))
-        free = ~boxes.hidden(*lines, np.full(len(lines[0]), number))
-        shown.append(int(free.reshape(eyes, -1).any(axis=0).sum()))
-    assert 0 < shown[1] < 72
-    for more in (-1, 0, 1):
-        asked = [count + more for count in shown]
-        assert sight.met(things, places, asked) == [more <= 0] * 3
-    assert sight.met(things, places, [count + k % 2 for k, count in enumerate(shown)]) == [True, False, True]
-    assert sight.met(things, places[:0], [1, 1, 1]) == [False] * 3
-
-
-def test_kernels_look_as_the_arrays_of_all_pairs_say() -> None:
-    """Bit for bit, also at the bounds of the view, for targets side by side, and for an eye without a place."""
+def test_views_are_those_of_the_generator() -> None:
+    """Also at the bounds of the view, and for an eye without a place."""
     rng = np.random.default_rng(5)
-    level, ahead = View(range=2.5, pitch=45.0), View(range=2.5, horizontal_fov=90.0, vertical_fov=90.0)
-    eyes = [rng.integers(-2, 3, (n, 3)).astype(float) for n in (3, 1, 40)]
-    points = [np.concatenate([rng.integers(-2, 3, (n, 3)), rng.normal(size=(n, 3))]) for n in (20, 64, 1)]
-    eyes[2][0] = np.nan
-    views = [level, View(range=2.5), level]
-    expected = np.concatenate([in_view(*one).ravel() for one in zip(eyes, points, views, strict=True)])
-    ends = [np.cumsum([len(one) for one in those]) for those in (eyes, points)]
-    slopes = np.array([np.tan(np.radians(45.0)), np.inf, np.tan(np.radians(45.0))])
-    pair, eye, point = in_range(np.concatenate(eyes), np.concatenate(points), *ends, slopes, 2.5)
-    np.testing.assert_array_equal(pair, np.flatnonzero(expected))
-    of = np.repeat(np.arange(3), [len(one) * len(its) for one, its in zip(eyes, points, strict=True)])[pair]
-    np.testing.assert_array_equal(np.searchsorted(ends[0], eye, side="right"), of)
-    np.testing.assert_array_equal(np.searchsorted(ends[1], point, side="right"), of)
-    for yaw in (0.0, 0.7, -2.0, np.pi / 2):
-        seen = in_front(eyes[0][0], points[1], float(np.sin(yaw)), float(np.cos(yaw)), 2.5, *[np.tan(np.pi / 4)] * 2)
-        np.testing.assert_array_equal(seen, in_view(eyes[0][:1], points[1], ahead, [yaw])[0])
+    ahead = View(range=2.5, horizontal_fov=90.0, vertical_fov=90.0)
+    eyes = rng.integers(-2, 3, (40, 3)).astype(float)
+    points = np.concatenate([rng.integers(-2, 3, (64, 3)), rng.normal(size=(64, 3))])
+    eyes[0] = np.nan
+    for view, slope in ((View(range=2.5, pitch=45.0), np.tan(np.radians(45.0))), (View(range=2.5), np.inf)):
+        np.testing.assert_array_equal(in_range(eyes, points, 2.5, slope), in_view(eyes, points, view))
+    yaws = rng.choice([0.0, 0.7, -2.0, np.pi / 2], len(eyes))
+    seen = in_front(eyes, points, yaws, 2.5, *[np.tan(np.pi / 4)] * 2)
+    np.testing.assert_array_equal(seen, in_view(eyes, points, ahead, yaws))
+
+
+@pytest.mark.parametrize("turns", range(8))
+def test_points_exactly_on_the_border_of_a_view_are_inside(turns: int) -> None:
+    """An agent that looks along a multiple of 45° has borders along the axes, on which corners of boxes lie exactly."""
+    yaw = turns * math.pi / 4
+    # The two borders of a view of 90°, in the exact directions of the axes and diagonals.
+    steps = [(round(math.sin(step * math.pi / 4)), round(math.cos(step * math.pi / 4))) for step in range(8)]
+    ways = np.array([steps[(turns + side) % 8] for side in (1, -1)], float)
+    eye = np.array([-1.76, 1.35, -0.349])
+    lengths = np.arange(1, 4000) / 1000.0
+    offsets = np.concatenate([np.stack([-x * lengths, 0 * lengths, -z * lengths], 1) for x, z in ways])
+    points = eye + offsets
+    view = View(range=10.0, horizontal_fov=90.0, vertical_fov=90.0)
+    assert in_view(eye[None], points, view, [yaw]).all()
+    assert in_front(eye[None], points, np.array([yaw]), 10.0, 1.0, math.tan(math.pi / 4)).all()

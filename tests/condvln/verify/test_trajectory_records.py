@@ -18,15 +18,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from condvln.formats import parquet_rows
 from condvln.formats.image_files import png16
-from condvln.trajectories.recipe import Recipe, RecipeRecord
+from condvln.navigation.follower import VLN_CE
+from condvln.trajectories.recipe import Recipe
 from condvln.verify.trajectories import _Frames, prove_trajectories
 from condvln.verify.trajectory_files import walks_with_poses
-from jobs.trajectory_recipe import encoder_lines
+from jobs.trajectory_units import encoder_lines
 from schemas.config import CameraConfig, TrajectoryConfig
-from schemas.errors import FormatError, MissingFileError
-from schemas.trajectory_tables import TRAJECTORIES, TRAJECTORY_TABLES
+from schemas.errors import FormatError
+from schemas.tables import TRAJECTORIES, TRAJECTORY_TABLES
 
 CAMERA = CameraConfig(width=8, height=6, hfov=79.0, max_depth=None, normalized=False)
 RECORD: dict[str, Any] = {
@@ -34,11 +34,13 @@ RECORD: dict[str, Any] = {
     "layouts": ["streamvln"],
     "cameras": {name: CAMERA.model_dump(mode="json") for name in ("rgb", "depth.a")},
     "config": TrajectoryConfig().model_dump(mode="json"),
+    "export_snapshot": "",
+    **{key: {} for key in ("scene_files", "libraries", "encoders", "decoders")},
 }
 DEPTH = np.full((6, 8), 2.0, np.float32)
 
 
-@pytest.mark.parametrize("part", [{"libraries": None}, {"libraries": []}, {"encoders": "x"}, {"encoders": {"jpg": 1}}])
+@pytest.mark.parametrize("part", [{"decoders": None}, {"decoders": []}, {"encoders": "x"}, {"encoders": {"jpg": 1}}])
 def test_a_damaged_record_is_named(part: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | part))
     with pytest.raises(FormatError, match="not a record of trajectories"):
@@ -48,15 +50,16 @@ def test_a_damaged_record_is_named(part: dict[str, Any], tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("part", "what"),
     [
-        ({"cameras": {"rgb": {"width": 0}}}, "cameras.rgb: width"),
+        ({"cameras": {"rgb": {"width": 0}}}, "cameras.rgb.width"),
         ({"cameras": {"rgb": 640}}, "cameras.rgb"),
-        ({"cameras": {"rgb": {"lens": 1}}}, "cameras.rgb: lens"),
-        ({"cameras": {"rgb/../..": {}}}, "'rgb/../..' is not a name of a camera"),
-        ({"cameras": {"rgb.\0": {}}}, "is not a name of a camera"),
+        ({"cameras": {"rgb": {"lens": 1}}}, "cameras.rgb.lens"),
+        ({"cameras": {"rgb/../..": {}}}, "cameras.rgb/../.."),
+        ({"cameras": {"rgb.\0": {}}}, "cameras.rgb."),
         ({"cameras": [[1, {}]]}, "not a record of trajectories"),
         ({"cameras": "rgb"}, "not a record of trajectories"),
         ({"config": {"png_level": "fast"}}, "config.png_level"),
         ({"config": {"png_level": 10}}, "config.png_level"),
+        ({"config": {"png_level": 4}, "encoders": {"png": "isal 1"}}, "config.png_level"),
         ({"config": {"png_level": -1}}, "config.png_level"),
         ({"config": {"png_level": None}}, "config.png_level"),
         ({"config": {"jpeg_quality": 0}}, "config.jpeg_quality"),
@@ -71,13 +74,6 @@ def test_a_camera_or_a_configuration_that_cant_be_is_named(part: dict[str, Any],
     with pytest.raises(FormatError, match=re.escape(what)) as found:
         prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
     assert "trajectories.json" in str(found.value)
-
-
-def test_older_levels_and_keys_of_a_record_are_no_fault(tmp_path: Path) -> None:
-    """The next thing that is missing is a file, not a value of the record."""
-    (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD | {"config": {"png_level": 9}}))
-    with pytest.raises(MissingFileError, match="annotations"):
-        prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -180,21 +176,6 @@ def test_values_that_fill_the_memory_are_refused_before_they_are_decoded(
         assert pa.total_allocated_bytes() - allocated < 64 << 20
 
 
-def test_the_memory_of_a_table_is_bounded_exactly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of texts by what each decoded row takes, of numbers by their width."""
-    path = tmp_path / "x.parquet"
-    texts = ["ab" * 100, None, "ü" * 50] * 50
-    table = pa.table({"text": texts, "number": pa.array([7] * len(texts), pa.int64())})
-    pq.write_table(table, path, row_group_size=40)
-    size = 50 * (200 + 100) + 8 * len(texts)
-    monkeypatch.setattr(parquet_rows, "MAX_RATIO", 0)
-    monkeypatch.setattr(parquet_rows, "FREE_BYTES", size)
-    parquet_rows.refuse_parquet_bombs(path)
-    monkeypatch.setattr(parquet_rows, "FREE_BYTES", size - 1)
-    with pytest.raises(ValueError, match=f"whose rows take more than {size - 1:,} bytes"):
-        parquet_rows.refuse_parquet_bombs(path)
-
-
 @pytest.mark.parametrize("special", ["FIFO", "device", "link to itself"])
 @pytest.mark.parametrize("name", ["trajectories.json", "annotations.json", "trajectories.parquet", "poses.parquet"])
 def test_what_is_no_file_is_named_and_not_waited_for(name: str, special: str, tmp_path: Path) -> None:
@@ -221,23 +202,10 @@ def test_what_is_no_file_is_named_and_not_waited_for(name: str, special: str, tm
 @pytest.mark.parametrize("actions", [5, None, {"a": 1}, "0123"])
 def test_actions_that_are_no_list_are_named(actions: object, tmp_path: Path) -> None:
     (tmp_path / "trajectories.json").write_bytes(orjson.dumps(RECORD))
-    entry = {"id": 1, "video": "", "instructions": [], "kind": "gold", "actions": actions}
+    entry = {"id": 1, "video": "", "instructions": [], "kind": "direct", "actions": actions}
     (tmp_path / "annotations.json").write_bytes(orjson.dumps([entry]))
     with pytest.raises(FormatError, match="the actions of an entry are not a list"):
         prove_trajectories(tmp_path, None)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("level", range(12))
-def test_the_level_of_older_records_is_lowered(level: int) -> None:
-    config = RECORD["config"] | {"png_level": level}
-    if level <= 9:
-        assert RecipeRecord.model_validate(RECORD | {"config": config}).config.png_level == min(level, 3)
-    else:
-        with pytest.raises(ValueError, match="png_level"):
-            RecipeRecord.model_validate(RECORD | {"config": config})
-    if level > 3:
-        with pytest.raises(ValueError, match="png_level"):
-            RecipeRecord.model_validate(RECORD | {"config": config, "encoders": {"png": "isal 1.0"}})
 
 
 def test_an_encoder_that_the_record_does_not_name(tmp_path: Path) -> None:
@@ -247,7 +215,7 @@ def test_an_encoder_that_the_record_does_not_name(tmp_path: Path) -> None:
 
 
 def fault_of(folder: Path, data: bytes) -> str | None:
-    """What is wrong with a depth image of a record of level 9, which Pillow wrote."""
+    """What is wrong with a depth image that another encoder wrote."""
     place = "images/a/depth.a/001.png"
     (folder / place).parent.mkdir(parents=True)
     (folder / place).write_bytes(data)
@@ -256,14 +224,14 @@ def fault_of(folder: Path, data: bytes) -> str | None:
     frame = SimpleNamespace(rgb=np.zeros((6, 8, 3), np.uint8), depth=DEPTH)
     renderer = SimpleNamespace(look=lambda *given: frame)
     world: Any = SimpleNamespace(render_every=1, renderer=lambda episode: renderer)
-    images = {"png_level": 9, "encoders": {"png": "Pillow 11"}}
-    frames = _Frames(folder, {}, [], {"depth.a": CAMERA}, images, world)
+    images = {"png_level": 3, "encoders": {"png": "Pillow 11"}}
+    frames = _Frames(folder, {}, [], {"depth.a": CAMERA}, images, world, VLN_CE)
     proof: Any = SimpleNamespace(rendered=0)
     episode: Any = None
     return frames._image(row, np.zeros(3), 0.0, episode, proof)
 
 
-def test_images_of_a_high_level_are_rendered_again(tmp_path: Path) -> None:
+def test_images_of_another_encoder_are_rendered_again(tmp_path: Path) -> None:
     assert fault_of(tmp_path, png16(DEPTH, 1)) is None
     assert fault_of(tmp_path / "other", png16(DEPTH + 1, 1)) == "the pose shows another image"
 
@@ -274,13 +242,12 @@ def test_an_image_that_claims_a_large_size_is_a_fault(edge: int, tmp_path: Path)
     small = png16(DEPTH, 1)
     header = b"IHDR" + struct.pack(">II", edge, edge) + small[24:29]
     fault = fault_of(tmp_path, small[:12] + header + struct.pack(">I", zlib.crc32(header)) + small[33:])
-    assert fault is not None
     assert fault.startswith("the image ")
 
 
 def test_a_number_of_frames_is_compared_before_a_list_is_built() -> None:
     walk = {"n_frames": 2**31 - 1}
     world: Any = None
-    frames = _Frames(None, walk, [], {"rgb": CAMERA}, {}, world)
+    frames = _Frames(None, walk, [], {"rgb": CAMERA}, {}, world, VLN_CE)
     proof: Any = SimpleNamespace(frames=0)
     assert [*frames.faults(proof)] == ["a frame has no pose, or more than one"]

@@ -11,9 +11,9 @@ import pytest
 from condvln.trajectories.cameras import PRESETS
 from jobs.export import export_snapshot_of
 from jobs.report import Report
-from jobs.trajectories import LAYOUTS, Request, make_trajectories
+from jobs.trajectories import Request, make_trajectories
 from schemas.config import Config
-from tests.jobs.trajectories.made import TINY, WALKS, to
+from tests.jobs.trajectories.made import FIFTEEN, THIRTY, TINY, WALKS, to
 
 
 @pytest.fixture(scope="package", autouse=True)
@@ -38,7 +38,7 @@ def asked(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFact
         split=max(counts, key=lambda name: counts[name]),
         camera="tiny",
         config=WALKS,
-        layouts=LAYOUTS,
+        layouts=FIFTEEN,
         scenes=(f"replicacad={source.root}",),
         inline=True,
     )
@@ -46,7 +46,15 @@ def asked(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture(scope="package")
 def made(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Trajectories of the whole split; read only."""
+    """Trajectories of the whole split, in every layout whose turns are of 15°; read only."""
     out = tmp_path_factory.mktemp("trajectories") / "out"
     assert make_trajectories(to(asked, out)).exit_code == 0
+    return out
+
+
+@pytest.fixture(scope="package")
+def wide(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Trajectories of the whole split, in every layout whose turns are of 30°; read only."""
+    out = tmp_path_factory.mktemp("trajectories") / "wide"
+    assert make_trajectories(to(asked, out, layouts=THIRTY)).exit_code == 0
     return out

@@ -11,12 +11,15 @@ import pyarrow.parquet as pq
 
 from jobs.report import Report
 from jobs.trajectories import Request
-from jobs.trajectory_units import find_target
+from jobs.trajectory_units import find_split
 from jobs.verify_trajectories import verify_trajectories
 from schemas.config import CameraConfig, TrajectoryConfig
 
 TINY = CameraConfig(width=32, height=24, hfov=79.0, max_depth=None, normalized=False)
-WALKS = TrajectoryConfig(walks=("gold", "oracle", "recovery"))
+FIFTEEN = ("streamvln", "navila", "janusvln", "internvla-n1", "lerobot")
+THIRTY = ("snav", "uninavid", "lerobot")
+"""Layouts by the turns that their words mean; LeRobot's says its own."""
+WALKS = TrajectoryConfig(walks=("direct", "oracle", "recovery"))
 
 
 def to(asked: Request, out: Path, **changes: Any) -> Request:
@@ -41,4 +44,4 @@ def content(folder: Path) -> dict[str, str]:
 
 def proven(asked: Request, folder: Path, **options: Any) -> Report:
     """The report of the verifier."""
-    return verify_trajectories(find_target(asked.target, asked.split, asked.scenes), folder, **options)
+    return verify_trajectories(find_split(asked.target, asked.split, asked.scenes), folder, **options)

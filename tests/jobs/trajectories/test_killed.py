@@ -15,7 +15,7 @@ from jobs.trajectories import Request, make_trajectories
 from schemas.config import TrajectoryConfig
 from tests.jobs.trajectories.made import content, to
 
-KILLS = 10
+KILLS = 5
 GOLD = TrajectoryConfig()
 
 
@@ -41,7 +41,7 @@ def killed_at(call: int, request: Request) -> None:
 
 
 @pytest.mark.soak
-def test_killed_at_ten_random_moments(asked: Request, tmp_path: Path) -> None:
+def test_killed_at_random_moments(asked: Request, tmp_path: Path) -> None:
     layouts = ("streamvln", "janusvln", "internvla-n1")
     clean = to(asked, tmp_path / "clean", config=GOLD, layouts=layouts)
     assert make_trajectories(clean).exit_code == 0

@@ -13,16 +13,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from condvln.verify.training_layouts import prove_layouts
+from condvln.verify.layouts import prove_layouts
+from jobs.verify_trajectories import write_layout
 from tests.jobs.trajectories.made import rows
+
+
+def copied(folder: Path, out: Path) -> Path:
+    """Return a copy whose images are links: a test replaces files, and writes into none."""
+    shutil.copytree(folder, out, copy_function=os.link, ignore=shutil.ignore_patterns(".condvln"))
+    return out
 
 
 @pytest.fixture
 def copy(made: Path, tmp_path: Path) -> Path:
-    """A copy whose images are links: a test replaces files, and writes into none."""
-    out = tmp_path / "copy"
-    shutil.copytree(made, out, copy_function=os.link, ignore=shutil.ignore_patterns(".condvln"))
-    return out
+    return copied(made, tmp_path / "copy")
 
 
 def replace(path: Path, data: bytes) -> None:
@@ -150,6 +154,14 @@ MUTANTS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "a goal's frame": ("internvla-n1", lambda f: cell(n1(f), "relative_goal_frame_id.125cm_30deg", lambda k: k + 1)),
     "a task": ("internvla-n1", lambda f: lines(first_of(f, "tasks.jsonl")[0], answered("task", 0, "Go."))),
     "a length": ("internvla-n1", lambda f: lines(first_of(f, "episodes.jsonl")[0], answered("length", 0, 3))),
+    "a description": (
+        "internvla-n1",
+        lambda f: replace(p := first_of(f / "internvla-n1", "info.json")[0], p.read_bytes().replace(b"v2.1", b"v2.0")),
+    ),
+    "a statistic": (
+        "internvla-n1",
+        lambda f: lines(first_of(f, "episodes_stats.jsonl")[0], answered("stats", 0, {})),
+    ),
     "images swapped": ("internvla-n1", lambda f: swap(*images_of_n1(f))),
     "an image lost": ("internvla-n1", lambda f: images_of_n1(f)[0].unlink()),
     "a frame's action": ("lerobot", in_the_first_walk("action", lambda found: found.__setitem__(2, found[2] % 3 + 1))),
@@ -184,7 +196,7 @@ MUTANTS: dict[str, tuple[str, Callable[[Path], object]]] = {
 def faults_of(folder: Path, layout: str) -> list[str]:
     """Return the faults of one layout; the record names no other, whose folders are a fault each, left out here."""
     record = json.loads((folder / "trajectories.json").read_bytes()) | {"layouts": [layout]}
-    found = [what for _, what in prove_layouts(folder, record, rows(folder, "trajectories")).faults]
+    found = [what for _, what in prove_layouts(folder, record, rows(folder, "trajectories"), write_layout).faults]
     unnamed = [what for what in found if "the record does not name" in what]
     assert not any(what.startswith(layout) for what in unnamed)
     return [what for what in found if what not in unnamed]
@@ -192,8 +204,9 @@ def faults_of(folder: Path, layout: str) -> list[str]:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("fault", MUTANTS)
-def test_a_planted_fault_is_found(fault: str, copy: Path) -> None:
+def test_a_planted_fault_is_found(fault: str, made: Path, wide: Path, tmp_path: Path) -> None:
     layout, change = MUTANTS[fault]
+    copy = copied(wide if layout == "uninavid" else made, tmp_path / "copy")
     change(copy)
     found = faults_of(copy, layout)
     assert found
@@ -201,19 +214,29 @@ def test_a_planted_fault_is_found(fault: str, copy: Path) -> None:
 
 
 @pytest.mark.parametrize("layout", ["navila", "uninavid", "janusvln", "internvla-n1", "lerobot"])
-def test_sound_layouts_have_no_fault(layout: str, made: Path) -> None:
-    assert faults_of(made, layout) == []
+def test_sound_layouts_have_no_fault(layout: str, made: Path, wide: Path) -> None:
+    assert faults_of(wide if layout == "uninavid" else made, layout) == []
 
 
 def test_a_layout_that_the_record_does_not_name_is_a_fault(copy: Path) -> None:
     """Else a damaged layout passes once its name is gone from the record."""
     record = json.loads((copy / "trajectories.json").read_bytes())
     walks = rows(copy, "trajectories")
-    assert prove_layouts(copy, record, walks).faults == []
+    assert prove_layouts(copy, record, walks, write_layout).faults == []
     for name in set(record["layouts"]) - {"streamvln"}:
         fewer = {**record, "layouts": [one for one in record["layouts"] if one != name]}
-        assert prove_layouts(copy, fewer, walks).faults == [
+        assert prove_layouts(copy, fewer, walks, write_layout).faults == [
             ("", f"{name}: the folder is there, but the record does not name this layout")
         ]
     more = {**record, "layouts": [*record["layouts"], "other"]}
-    assert prove_layouts(copy, more, walks).faults == [("", "other: the record names a layout that is not known here")]
+    assert prove_layouts(copy, more, walks, write_layout).faults == [
+        ("", "other: the record names a layout that is not known here")
+    ]
+
+
+def test_a_layout_without_samples_has_no_words(copy: Path) -> None:
+    replace(copy / "navila" / "annotations.json", b"")
+    record = json.loads((copy / "trajectories.json").read_bytes()) | {"layouts": ["navila"]}
+    proof = prove_layouts(copy, record, rows(copy, "trajectories"), write_layout)
+    assert (proof.rows["navila"], proof.words["navila"]) == (0, {})
+    assert ("", "navila: annotations.json is not what the walks, poses and images give") in proof.faults

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 
 from condvln.samples import make_samples
 from condvln.sources.family import FAMILIES
-from condvln.trajectories.licences import refuse_unlicensed
-from condvln.trajectories.recipe import RECIPE_FILES, Recipe
+from condvln.trajectories.recipe import RECIPE_FILES, Recipe, refuse_unlicensed
 from jobs.command import app
 from jobs.trajectories import Request, make_trajectories
 from schemas.errors import FormatError, MissingFileError, ProofError, UsageError
@@ -32,11 +31,11 @@ def images(folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def recipe(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recipe of one gold walk and its twin."""
+    """The recipe of one direct walk and its twin."""
     folder = tmp_path_factory.mktemp("recipe")
     for name in RECIPE_FILES:
         shutil.copy(made / "recipe" / name, folder)
-    walk = min((row for row in rows(made, "trajectories") if row["kind"] == "gold"), key=lambda row: row["n_frames"])
+    walk = min((row for row in rows(made, "trajectories") if row["kind"] == "direct"), key=lambda row: row["n_frames"])
     for name, column in (("trajectories", "frames_of"), ("poses", "trajectory")):
         table = pq.read_table(folder / f"{name}.parquet")
         pq.write_table(table.filter(pc.equal(table[column], walk["trajectory"])), folder / f"{name}.parquet")
@@ -96,12 +95,10 @@ def test_images_unlike_the_recipe_are_counted(asked: Request, recipe: Path, tmp_
 
 
 def test_other_encoders_are_named_before_the_work_begins(asked: Request, recipe: Path, tmp_path: Path) -> None:
-    """A record that names no encoder is that of an older version, which wrote images with Pillow."""
     theirs = tmp_path / "theirs"
     shutil.copytree(recipe, theirs)
     record = json.loads((recipe / "trajectories.json").read_bytes())
-    del record["encoders"]
-    record["libraries"]["pillow"] = "11.0"
+    record["encoders"] |= {"jpg": "Pillow 11.0"}
     (theirs / "trajectories.json").write_text(json.dumps(record))
     report = make_trajectories(again(asked, theirs, tmp_path / "out", plan=True))
     assert [line for line in report.lines if line.startswith("Pillow 11.0 wrote the jpg files of the recipe")]
@@ -109,11 +106,11 @@ def test_other_encoders_are_named_before_the_work_begins(asked: Request, recipe:
 
 @pytest.mark.soak
 def test_images_of_another_encoder_are_compared_by_their_pixels(asked: Request, made: Path, tmp_path: Path) -> None:
-    """A folder of an older version, whose images Pillow wrote, is proven; another frame's image is a fault."""
+    """A folder whose images Pillow wrote is proven; another frame's image is a fault."""
     out = tmp_path / "out"
     out.mkdir()
     record = json.loads((made / "trajectories.json").read_bytes())
-    del record["encoders"]
+    record["encoders"] = dict.fromkeys(("jpg", "png"), "Pillow 11.0")
     record |= {"layouts": ["streamvln"], "cameras": {"rgb": record["cameras"]["rgb"]}}
     poses = [row for row in rows(made, "poses") if row["camera"] == "rgb"]
     quality = record["config"]["jpeg_quality"]
@@ -282,15 +279,12 @@ def read_all(folder: Path) -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        "--split=train",
         "--camera=streamvln",
         "--layout=navila",
         "--sweep=height=1",
-        "--walks=gold",
+        "--walks=direct",
         "--walk=seed=0",
-        "--navmesh-root=x",
         "--recipe-only",
-        "--set=seed=1",
     ],
 )
 def test_what_the_recipe_decides_is_refused_on_the_command_line(given: str, tmp_path: Path) -> None:

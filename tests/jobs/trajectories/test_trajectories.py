@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from condvln.evaluation.export_folder import open_export
+from condvln.evaluation.split import open_export
 from condvln.formats.image_files import jpeg
 from condvln.navigation.follower import Follower
 from condvln.sensors import open_renderer
@@ -23,15 +24,15 @@ from condvln.sources.registry import open_source
 from condvln.trajectories.walks import heading_of
 from jobs.trajectories import Request, make_trajectories, trajectory_config
 from schemas.errors import FormatError, ProofError, UsageError
-from tests.jobs.trajectories.made import TINY, WALKS, content, proven, rows, to
+from tests.jobs.trajectories.made import FIFTEEN, TINY, WALKS, content, proven, rows, to
 
 
 def test_every_walk_replays_to_its_poses_and_ends_at_the_goal(asked: Request, made: Path) -> None:
     export = open_export(asked.target, [Path(asked.scenes[0].partition("=")[2])])
     episodes = {int(episode.episode_id): episode for episode in export.episodes(asked.split)}
     walks = rows(made, "trajectories")
-    assert {row["kind"] for row in walks} == {"gold", "oracle", "recovery"}
-    assert {row["episode_id"] for row in walks if row["kind"] == "gold"} == set(episodes)
+    assert {row["kind"] for row in walks} == {"direct", "oracle", "recovery"}
+    assert {row["episode_id"] for row in walks if row["kind"] == "direct"} == set(episodes)
     poses: dict[str, list[dict[str, Any]]] = {}
     for row in rows(made, "poses"):
         poses.setdefault(row["trajectory"], []).append(row)
@@ -86,7 +87,7 @@ def test_annotations_are_streamvln_s(made: Path) -> None:
         assert entry["id"] == walk["episode_id"]
 
 
-def test_the_other_layouts_name_the_same_images(asked: Request, made: Path) -> None:
+def test_the_other_layouts_name_the_same_images(asked: Request, made: Path, wide: Path) -> None:
     walks = rows(made, "trajectories")
     right = {row["trajectory"]: sum(row["repeats"]) for row in walks}
     steps = [json.loads(line) for line in (made / "navila" / "annotations.json").read_bytes().splitlines()]
@@ -96,7 +97,7 @@ def test_the_other_layouts_name_the_same_images(asked: Request, made: Path) -> N
     assert len(samples) == sum(right.values())
     for sample in samples:
         assert sample["conversations"][0]["value"].count("<image>") == len(sample["images"]) <= 9
-    gold = next(row for row in walks if row["kind"] == "gold")
+    gold = next(row for row in walks if row["kind"] == "direct")
     linked = sorted((made / "janusvln/trajectory_data/R2R" / asked.split / str(gold["episode_id"])).iterdir())
     words = {"STOP": 0, "MOVE_FORWARD": 1, "TURN_LEFT": 2, "TURN_RIGHT": 3}
     for path, action in zip(linked, gold["actions"], strict=True):
@@ -104,8 +105,8 @@ def test_the_other_layouts_name_the_same_images(asked: Request, made: Path) -> N
         name = "_".join(parts[-2:]).upper() if len(parts) > 3 else parts[-1].upper()
         assert words[name] == action
     assert linked[2].samefile(made / "images" / gold["trajectory"] / "rgb" / "003.jpg")
-    talks = json.loads((made / "uninavid" / "annotations.json").read_bytes())
-    assert all((made / "uninavid" / talk["video"]).is_file() and "NAV_ID" in talk["id"] for talk in talks)
+    talks = json.loads((wide / "uninavid" / "annotations.json").read_bytes())
+    assert all((wide / "uninavid" / talk["video"]).is_file() and "NAV_ID" in talk["id"] for talk in talks)
     assert {len(talk["conversations"][1]["value"].split()) for talk in talks} == {4}
 
 
@@ -145,6 +146,42 @@ def test_pairs_of_cameras_are_internvla_n1_s(made: Path) -> None:
     assert max(goals) > 3
 
 
+def test_a_scene_of_internvla_n1_is_a_dataset_of_lerobot_2_1(asked: Request, made: Path) -> None:
+    """What `LeRobotDataset` of lerobot 0.3.3 reads and asserts when it opens a folder."""
+    for scene in (made / "internvla-n1").iterdir():
+        info = json.loads((scene / "meta/info.json").read_bytes())
+        assert info["codebase_version"] == "v2.1"
+        tasks, episodes, stats = (
+            [json.loads(line) for line in (scene / f"meta/{name}.jsonl").read_bytes().splitlines()]
+            for name in ("tasks", "episodes", "episodes_stats")
+        )
+        numbers = [*range(info["total_episodes"])]
+        assert [row["episode_index"] for row in episodes] == [row["episode_index"] for row in stats] == numbers
+        assert [row["task_index"] for row in tasks] == [*range(info["total_tasks"])]
+        assert info["splits"] == {asked.split: f"0:{len(numbers)}"}
+        files = [scene / info["data_path"].format(episode_chunk=k // 1000, episode_index=k) for k in numbers]
+        assert sorted(files) == sorted((scene / "data").rglob("*.parquet"))
+        tables = [pq.read_table(file) for file in files]
+        assert [table.num_rows for table in tables] == [row["length"] for row in episodes]
+        whole = pa.concat_tables(tables)
+        assert whole.column_names == [*info["features"]]
+        assert whole["index"].to_pylist() == [*range(info["total_frames"])]
+        for name, feature in info["features"].items():
+            values = np.array(tables[0][name].to_pylist())
+            assert [*values.shape[1:]] == ([] if feature["shape"] == [1] else feature["shape"])
+            kind = whole.schema.field(name).type
+            while pa.types.is_list(kind):
+                kind = kind.value_type
+            assert str(kind) == {"float64": "double", "float32": "float"}.get(feature["dtype"], feature["dtype"])
+            found = stats[0]["stats"][name]
+            assert found["count"] == [len(values)]
+            assert all(np.ndim(one) > 0 for one in found.values())
+            np.testing.assert_allclose(np.ravel(found["mean"]), np.ravel(values.mean(axis=0)), atol=1e-9)
+        for table in tables:
+            assert np.diff(table["timestamp"].to_numpy()).tolist() == [1 / info["fps"]] * (table.num_rows - 1)
+        assert info["features"]["action"]["info"] == {"forward_metres": 0.25, "turn_degrees": 15.0}
+
+
 def test_trajectories_are_proven(asked: Request, made: Path) -> None:
     report = proven(asked, made, render_every=100)
     assert report.document["faults"] == []
@@ -154,8 +191,8 @@ def test_trajectories_are_proven(asked: Request, made: Path) -> None:
     walks = rows(made, "trajectories")
     assert counts["navila"] == sum(1 for _ in (made / "navila" / "annotations.json").open())
     assert counts["janusvln"] == sum(sum(row["repeats"]) for row in walks)
-    assert counts["uninavid"] == len(json.loads((made / "uninavid" / "annotations.json").read_bytes()))
     assert counts["internvla-n1"] == counts["lerobot"] == sum(row["n_frames"] for row in walks)
+    assert report.document["layout_walks"] == dict.fromkeys(FIFTEEN, len(walks))
 
 
 def test_a_walk_that_no_file_speaks_of_is_missed(asked: Request, made: Path, tmp_path: Path) -> None:
@@ -178,7 +215,7 @@ def test_a_walk_that_no_file_speaks_of_is_missed(asked: Request, made: Path, tmp
     report = proven(asked, out, render_every=0)
     assert report.exit_code == ProofError.exit_code
     assert {fault["what"] for fault in report.document["faults"]} == {
-        f"the {kind} walks of episode {lost}: 0 made and 0 left out, of 1" for kind in ("gold", "oracle", "recovery")
+        f"the {kind} walks of episode {lost}: 0 made and 0 left out, of 1" for kind in ("direct", "oracle", "recovery")
     }
 
 
@@ -256,11 +293,9 @@ def test_a_plan_makes_nothing(asked: Request, made: Path, tmp_path: Path) -> Non
     poses = {(row["scene_id"], *row["position"].values(), row["heading"]) for row in rows(made, "poses")}
     assert len(poses) * 0.75 < plan["rendered"] < len(poses) * 1.4
     assert len(poses) < record["frames"] * 0.75
-    # Hard links cost nothing; LeRobot's tables and Uni-NaVid's videos hold copies.
+    # Hard links cost nothing; LeRobot's tables hold copies.
     files = {path.stat().st_ino: path.stat().st_size for path in made.rglob("*") if path.is_file()}
-    held = sum(
-        path.stat().st_size for name in ("lerobot", "uninavid") for path in (made / name).rglob("*.[mp][pa][4r]*")
-    )
+    held = sum(path.stat().st_size for path in (made / "lerobot").rglob("*.parquet"))
     assert held > record["bytes"]
     assert sum(files.values()) / 2 < plan["gigabytes"] * 1e9 < sum(files.values()) * 2
     alone = make_trajectories(to(asked, tmp_path / "planned", plan=True, layouts=("streamvln", "internvla-n1")))

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from condvln.navigation.recast import build_navmesh
+from condvln.navigation.recast.builder import build_stages
 from condvln.navigation.recast.config import MEMORY_LIMIT_BYTES
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.polymesh import build_polymesh
-from condvln.navigation.recast.stages import build_stages
 from condvln.navigation.settings import NavMeshSettings
 from schemas.errors import FormatError, InputError, UsageError
 

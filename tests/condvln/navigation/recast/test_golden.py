@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from condvln.navigation.navmesh_file import read_navmesh
+from condvln.navigation.navmesh_file import compare_navmeshes, read_navmesh
 from condvln.navigation.recast import build_navmesh
-from condvln.navigation.recast.compare import compare_navmeshes
 
 NAMES = ["apt1", "apt2", *(f"s{k}" for k in range(30))]
 PROFILES = {"habitat>=0.3.4": ".navmesh", "habitat<=0.3.3": ".profile-0.3.3.navmesh"}

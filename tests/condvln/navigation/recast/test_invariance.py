@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.navigation.recast import build_navmesh
-from condvln.navigation.recast.stages import build_stages
+from condvln.navigation.recast.builder import build_stages
 from condvln.navigation.settings import NavMeshSettings
 
 # Cells that float32 holds exactly, so that a shift by whole cells rounds nothing.

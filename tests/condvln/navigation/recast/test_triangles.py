@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import json
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ import trimesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.recast import Z_UP, PlacedMesh, build_navmesh, build_scene_navmesh, mesh_triangles
 from condvln.navigation.settings import NavMeshSettings
-from schemas.errors import FormatError, MissingFileError
+from schemas.errors import FormatError, InputError, MissingFileError
 
 
 @pytest.fixture
@@ -91,14 +94,6 @@ def test_pathfinders_build_for_themselves(plate, tmp_path: Path) -> None:
     assert loaded.navigable_area == built.navigable_area
 
 
-def test_stages_are_reported_in_order(plate) -> None:
-    told: list[str] = []
-    build_navmesh(*plate(0, 0, 4, 4), report=told.append)
-    assert told[0] == "checking triangles"
-    assert told[-1] == "assembling the tile"
-    assert len(told) == len(set(told))
-
-
 def test_bad_files(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"room\.glb: the mesh file does not exist"):
         mesh_triangles([tmp_path / "room.glb"])
@@ -111,6 +106,96 @@ def test_bad_files(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(data)
         with pytest.raises(FormatError):
             build_scene_navmesh(tmp_path / name)
+
+
+def gltf(folder: Path, uri: str, *, length: int | None = None) -> Path:
+    """A triangle, whose numbers are in a buffer with this address."""
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"uri": uri, "byteLength": 36 if length is None else length}],
+        "images": [{"uri": "../secret.png"}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+    }
+    path = folder / "t.gltf"
+    path.write_text(json.dumps(tree))
+    return path
+
+
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0]], "<f4")
+
+
+@pytest.mark.parametrize("uri", ["t.bin", "parts/the%20numbers.bin", "data:application/octet-stream;base64,"])
+def test_a_gltf_file_is_read_with_its_buffers(tmp_path: Path, uri: str) -> None:
+    if uri.startswith("data:"):
+        uri += base64.b64encode(TRIANGLE.tobytes()).decode()
+    else:
+        file = tmp_path / unquote(uri)
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(TRIANGLE.tobytes())
+    vertices, faces = mesh_triangles([gltf(tmp_path, uri)])
+    np.testing.assert_array_equal(vertices[faces[0]], TRIANGLE)
+
+
+@pytest.mark.parametrize(
+    ("uri", "length", "message"),
+    [
+        ("../secret.bin", 36, "leads out of the dataset"),
+        ("..%2Fsecret.bin", 36, "leads out of the dataset"),
+        ("/etc/passwd", 36, "absolute"),
+        ("file:///etc/passwd", 36, "a buffer at an address is not read"),
+        ("https://example.org/t.bin", 36, "a buffer at an address is not read"),
+        ("link.bin", 36, "a symbolic link leads out"),
+        ("t.bin", 37, "the file claims 37 bytes, but the buffer has 36"),
+        ("none.bin", 36, "the file is not there"),
+        ("data:;base64,@@@", 36, "can't be decoded"),
+        ("data:text/plain,abc", 36, "must be in base64"),
+    ],
+)
+def test_buffers_that_are_not_beside_the_file_are_refused(tmp_path: Path, uri: str, length: int, message: str) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    for file in (tmp_path / "secret.bin", folder / "t.bin"):
+        file.write_bytes(TRIANGLE.tobytes())
+    (folder / "link.bin").symlink_to(tmp_path / "secret.bin")
+    with pytest.raises(InputError, match=message):
+        mesh_triangles([gltf(folder, uri, length=length)])
+
+
+def test_obj_and_ply_files_open_no_other_file(scene: trimesh.Scene, tmp_path: Path) -> None:
+    mesh = scene.to_geometry()
+    expected = sorted(map(tuple, np.round(mesh.triangles.reshape(-1, 9), 5).tolist()))
+    (tmp_path / "r.obj").write_text(f"mtllib /etc/passwd\n{mesh.export(file_type='obj')}")
+    (tmp_path / "r.ply").write_bytes(mesh.export(file_type="ply"))
+    (tmp_path / "a.ply").write_bytes(mesh.export(file_type="ply", encoding="ascii"))
+    for name in ("r.obj", "r.ply", "a.ply"):
+        vertices, faces = mesh_triangles([tmp_path / name])
+        found = sorted(map(tuple, np.round(vertices[faces].reshape(-1, 9).astype(np.float64), 5).tolist()))
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("r.ply", b"element vertex 4", b"element vertex 4000000000", "claims 4000000000 elements"),
+        ("r.ply", b"element face 2", b"element face 99999999999999999999", "claims 99999999999999999999 elements"),
+        ("a.ply", b"3 0 1 2", b"3 0 1 9", "missing|refers"),
+        ("r.obj", b"f 1 2 3", b"f 1 2 99", "can't be read as a mesh"),
+    ],
+)
+def test_false_counts_and_indices_are_refused(tmp_path: Path, name: str, old: bytes, new: bytes, message: str) -> None:
+    square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], [[0, 1, 2], [0, 2, 3]], process=False)
+    kind = {"encoding": "ascii"} if name == "a.ply" else {}
+    data = square.export(file_type=name[-3:], **kind)
+    data = data.encode() if isinstance(data, str) else data
+    assert old in data
+    (tmp_path / name).write_bytes(data.replace(old, new))
+    with pytest.raises(FormatError, match=message):
+        mesh_triangles([tmp_path / name])
 
 
 @pytest.mark.parametrize("transform", [np.eye(3), np.full((4, 4), np.nan), np.diag([1, 1, 1e39, 1])])

@@ -1,1 +1,0 @@
-"""Compiled kernels of the sampler; each file calls only files of this folder."""
