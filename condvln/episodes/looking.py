@@ -727,6 +727,5 @@ class _Walk:
         for stop, there in zip(stops, after[route.arrivals].tolist(), strict=True):
             self._keep(np.concatenate([self._positions[at:there], stop[None]]))
             at = there
-        away = self._looking.middle(goal) - self.place
-        off = math.remainder(math.atan2(-away[0], -away[2]) - self.heading, 2.0 * math.pi)
-        self.actions += [LEFT if off > 0.0 else RIGHT] * round(abs(off) / _TURN) + [STOP]
+        turns = self._looking.to_goal.turns_to(self.place, self.heading, self._looking.middle(goal))
+        self.actions += [*turns, STOP]

@@ -117,6 +117,8 @@ FACTS: Final[Mapping[str, str]] = {
     # files
     "record": "the VLN-CE record agrees with the manifest",
     "ground_truth": "ground-truth locations lie along the gold path, and actions lead to the goal",
+    "looking_record": "the record along the looking path differs from the stock one in its path alone",
+    "looking_truth": "the ground truth along the looking path has the manifest's actions and where they lead",
     "split_named": "a row names its own split",
     "id_of_hash": "an episode's integer id follows from its hash",
     "unique_id": "an episode's id is unique",

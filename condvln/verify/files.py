@@ -38,12 +38,16 @@ _REMEDY: Final = "Export again"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One manifest row with its record and its ground truth; either is None if its file has no entry for the row."""
+    """One manifest row with its records and ground truths, along the direct and along the looking path; each is None if
+    its file has no entry for the row.
+    """
 
     split: str
     manifest: ManifestEpisode
     record: Mapping[str, Any] | None
     truth: Mapping[str, Any] | None
+    looking_record: Mapping[str, Any] | None = None
+    looking_truth: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +118,19 @@ def split_names(folder: Path) -> list[str]:
 
 
 class _SplitCursor:
-    """The manifest of one split, with the record and ground truth of each row."""
+    """The manifest of one split, with the records and ground truths of each row."""
 
     def __init__(self, folder: Path, split: str, unread: list[Unread]) -> None:
         self.split = split
         self._unread = unread
         self._path = folder / "manifest" / f"{split}.jsonl"
         self._rows = self._parsed_rows()
-        base = folder / "vlnce" / split
-        shards = sorted(base.glob("content/*.json.gz"))
-        self._records = _Lookup(entry for path in (base / f"{split}.json.gz", *shards) for entry in _records(path))
-        self._truths = _Lookup(_truths(base / f"{split}_gt.json.gz"))
+        self._told = {
+            "record": _Lookup(_records(folder / "vlnce" / split)),
+            "ground_truth": _Lookup(_truths(folder / "vlnce" / split)),
+            "looking_record": _Lookup(_records(folder / "vlnce_looking" / split)),
+            "looking_truth": _Lookup(_truths(folder / "vlnce_looking" / split)),
+        }
         self._next = next(self._rows, None)
 
     @property
@@ -137,11 +143,11 @@ class _SplitCursor:
         assert self._next is not None
         row = self._next
         self._next = next(self._rows, None)
-        return Row(self.split, row, self._records.pop(str(row.episode_id)), self._truths.pop(str(row.episode_id)))
+        return Row(self.split, row, *[lookup.pop(str(row.episode_id)) for lookup in self._told.values()])
 
     def close(self) -> None:
         """Record the entries of the VLN-CE and ground-truth files for which the manifest has no row."""
-        for kind, lookup in (("record", self._records), ("ground_truth", self._truths)):
+        for kind, lookup in self._told.items():
             for name in lookup.rest():
                 self._unread.append(Unread(self.split, name, kind, "no such episode in the manifest", name))
 
@@ -190,21 +196,23 @@ class _Lookup:
         yield from (name for name, _ in self._stream)
 
 
-def _records(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the episodes of a VLN-CE document by id.
+def _records(folder: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the episodes of a split's VLN-CE documents by id.
 
     Raises
     ------
-    FormatError, MissingFileError : the file does not exist or has another format
+    FormatError, MissingFileError : a file does not exist or has another format
     """
-    for number, (_, text) in enumerate(entries(path, inside="episodes")):
-        record = parsed(text, path, f"episodes.{number}")
-        if not isinstance(record, dict):
-            raise FormatError("an episode is not an object", where=path, place=f"episodes.{number}", remedy=_REMEDY)
-        yield str(record.get("episode_id")), record
+    for path in (folder / f"{folder.name}.json.gz", *sorted(folder.glob("content/*.json.gz"))):
+        for number, (_, text) in enumerate(entries(path, inside="episodes")):
+            record = parsed(text, path, f"episodes.{number}")
+            if not isinstance(record, dict):
+                raise FormatError("an episode is not an object", where=path, place=f"episodes.{number}", remedy=_REMEDY)
+            yield str(record.get("episode_id")), record
 
 
-def _truths(path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _truths(folder: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    path = folder / f"{folder.name}_gt.json.gz"
     for name, text in entries(path):
         entry = parsed(text, path, f"episode {name}")
         yield str(name), entry if isinstance(entry, dict) else {}
@@ -254,9 +262,12 @@ class UnplacedText:
         )
 
 
-_READ: Final = ("manifest/*.jsonl", "vlnce/*/*.json.gz", "vlnce/*/content/*.json.gz")
+_READ: Final = ("manifest/*.jsonl", "vlnce*/*/*.json.gz", "vlnce*/*/content/*.json.gz")
 """Folders whose files count as episodes, whether listed or not."""
-_OF_A_SPLIT: Final = ("manifest/{0}.jsonl", "vlnce/{0}/{0}.json.gz", "vlnce/{0}/{0}_gt.json.gz")
+_OF_A_SPLIT: Final = (
+    "manifest/{0}.jsonl",
+    *(f"{folder}/{{0}}/{{0}}{end}.json.gz" for folder in ("vlnce", "vlnce_looking") for end in ("", "_gt")),
+)
 _BLOCK: Final = 1 << 20
 
 

@@ -65,8 +65,10 @@ def check_looking(
     checked.
     """
     asked = [pair for pair in zip(rows, certificates, strict=True) if _is_told(*pair)]
+    if not asked:
+        return
     paths = [np.array(row.looking_path, np.float64) for row, _ in asked]
-    sides = np.array([side for path in paths for side in pairwise(path)]).reshape(-1, 2, 3)
+    sides = np.array([side for path in paths for side in pairwise(path)])
     metres = pathfinder.geodesic_distances(sides[:, 0], sides[:, 1]).astype(np.float64)
     straight = np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1)
     # Detour's way is longer than a straight one where its corridor is another.
@@ -77,7 +79,7 @@ def check_looking(
     actions = [np.array(row.looking_actions, np.int8) for row, _ in asked]
     yaws = [yaw_of(row.start_rotation) or 0.0 for row, _ in asked]
     walks = executed(pathfinder, [row.start_position for row, _ in asked], yaws, [taken[:-1] for taken in actions])
-    for (row, certificate), path, free, walk in zip(asked, paths, walkable, walks, strict=False):
+    for (row, certificate), path, free, walk in zip(asked, paths, walkable, walks, strict=True):
         gold = row.leaves[row.gold_leaf]
         faults = [*_off_path(row, gold, path, free)]
         certificate.holds("looking_path", not faults, "a walk over the floor past the stops", faults)

@@ -29,7 +29,7 @@ from condvln.verify.observability import (
 )
 from condvln.verify.placement import check_placement
 from condvln.verify.program_check import check_program
-from condvln.verify.records import check_record, check_truths
+from condvln.verify.records import check_looking_truths, check_record, check_truths
 from condvln.verify.referents import SceneReferents
 from condvln.verify.surfaces import Shapes
 from condvln.verify.text_check import check_meaning
@@ -153,6 +153,7 @@ def prove_scene(
     manifests = [row.manifest for row in rows]
     check_placement(manifests, certificates, scene, navmesh.pathfinder, obstacles, rules, walls=sight.walls)
     check_truths(manifests, [row.truth for row in rows], navmesh.pathfinder, certificates)
+    check_looking_truths(manifests, [row.looking_truth for row in rows], navmesh.pathfinder, certificates)
     check_observability(manifests, certificates, sight, referents, onlookers, rules.places.eye_height)
     check_looking(manifests, certificates, navmesh.pathfinder, sight, referents, rules)
 
@@ -165,7 +166,7 @@ def _check_words(
         check_meaning(row.manifest, referents, rules, certificate)
         check_program(row.manifest, certificate)
         check_absence(row.manifest.program, referents, rules.places, certificate)
-        check_record(row.manifest, row.record, certificate)
+        check_record(row.manifest, row.record, row.looking_record, certificate)
 
 
 def prove_texts(

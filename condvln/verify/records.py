@@ -22,6 +22,7 @@ from schemas.config.constants import PATH_SPACING
 from schemas.evaluation import ManifestEpisode
 
 __all__ = [
+    "check_looking_truths",
     "check_record",
     "check_truths",
     "executed",
@@ -35,11 +36,21 @@ HEADING: Final = 1e-3
 """Tolerance in degrees between a stated heading and its rotation."""
 
 
-def check_record(row: ManifestEpisode, record: Mapping[str, Any] | None, certificate: Certificate) -> None:
-    """Check that the VLN-CE record of an episode agrees with the manifest row of the episode."""
+def check_record(
+    row: ManifestEpisode,
+    record: Mapping[str, Any] | None,
+    looking: Mapping[str, Any] | None,
+    certificate: Certificate,
+) -> None:
+    """Check that the VLN-CE record of an episode agrees with the manifest row of the episode, and that the record along
+    the looking path differs in its path alone.
+    """
     if record is None:
         certificate.holds("record", False, row.episode_id, "no record")
         return
+    if row.looking_path:
+        along = {**record, "reference_path": [list(point) for point in row.looking_path]}
+        certificate.holds("looking_record", looking == along, "the record along the looking path", looking)
     gold = row.leaves[row.gold_leaf] if 0 <= row.gold_leaf < len(row.leaves) else row.leaves[0]
     claimed: dict[str, Any] = {
         "episode_id": row.episode_id,
@@ -162,6 +173,28 @@ def check_truths(
             _check(row, its, along, certificate)
 
 
+def check_looking_truths(
+    rows: Sequence[ManifestEpisode],
+    truths: Sequence[Mapping[str, Any] | None],
+    pathfinder: Pathfinder,
+    certificates: Sequence[Certificate],
+) -> None:
+    """Check the ground-truth entries along the looking paths: the actions of the rows and the places they lead to."""
+    looking = [k for k, row in enumerate(rows) if row.looking_actions]
+    taken = [np.array(rows[k].looking_actions, np.int8) for k in looking]
+    yaws = [yaw_of(rows[k].start_rotation) or 0.0 for k in looking]
+    made = executed(pathfinder, [rows[k].start_position for k in looking], yaws, taken)
+    for k, actions, (places, _) in zip(looking, taken, made, strict=True):
+        its, certificate = _told(truths[k]), certificates[k]
+        if its is None or its.actions is None or its.actions.tolist() != actions.tolist():
+            certificate.holds("looking_truth", False, actions.tolist(), its, "actions")
+            continue
+        along = places[np.append(True, actions == FORWARD)]
+        off = _metres_off(along, its.locations)
+        certificate.holds("looking_truth", off <= ROUNDED, "the places gone through", f"{off} m off", "locations")
+        certificate.same("looking_truth", its.forward, len(along) - 1, "forward_steps")
+
+
 def _told(truth: Mapping[str, Any] | None) -> _Told | None:
     try:
         assert truth is not None
@@ -183,8 +216,13 @@ def _check(row: ManifestEpisode, told: _Told, executed: Iterator[F64], certifica
     else:
         along = next(executed)
         _check_actions(row, told.actions, along, certificate)
-    off = float(np.abs(along - locations).max(initial=0.0)) if along.shape == locations.shape else np.inf
+    off = _metres_off(along, locations)
     certificate.holds("ground_truth", off <= ROUNDED, "the places gone through", f"{off} m off", "locations")
+
+
+def _metres_off(along: F64, locations: F64) -> float:
+    """Return how far stated locations are from the places that a walk goes through; infinite for another number."""
+    return float(np.abs(along - locations).max(initial=0.0)) if along.shape == locations.shape else np.inf
 
 
 def _check_actions(row: ManifestEpisode, taken: NDArray[np.int8], along: F64, certificate: Certificate) -> None:

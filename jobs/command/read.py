@@ -191,7 +191,7 @@ def render(
     ] = "streamvln",
     position: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="X Y Z", help="where the agent stands in a scene, metres; by default a navigable point"),
+        typer.Option(metavar="X Y Z", help="position of the agent in a scene, metres; default: a navigable point"),
     ] = None,
     heading: Annotated[
         float | None,

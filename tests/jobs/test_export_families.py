@@ -18,8 +18,8 @@ from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split
 
 pytestmark = pytest.mark.soak
 
-SCENES = 2
-PER_CATEGORY = 5
+SCENES = 4
+PER_CATEGORY = 10
 
 
 @pytest.fixture(scope="module", params=sorted(FAMILIES))
@@ -65,5 +65,5 @@ def test_its_twin_differs_in_the_instruction_alone(family: Path, tmp_path: Path)
 
 def test_its_ladder_orders_itself(family: Path) -> None:
     tasks, navmeshes = made_tasks(family)
-    assert len(tasks) >= 10
+    assert len(tasks) >= 40
     check_ladder(tasks, navmeshes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from mutation import Files, World, mutator, pick
+from mutation import Document, Files, World, mutator, pick
 
 
 @mutator
@@ -27,7 +27,21 @@ def change_the_record(files: Files, rng: np.random.Generator, world: World) -> b
 
 @mutator
 def change_the_truth(files: Files, rng: np.random.Generator, world: World) -> bool:
-    truth = files.truth
+    return _change(files.truth, rng)
+
+
+@mutator
+def change_the_looking_truth(files: Files, rng: np.random.Generator, world: World) -> bool:
+    return files.looking_truth is not None and _change(files.looking_truth, rng)
+
+
+@mutator
+def put_the_direct_truth_for_the_looking_one(files: Files, rng: np.random.Generator, world: World) -> bool:
+    files.looking_truth = files.truth
+    return files.truth["actions"] != files.manifest["looking_actions"]
+
+
+def _change(truth: Document, rng: np.random.Generator) -> bool:
     kind = int(rng.integers(4))
     if kind == 0:
         truth["forward_steps"] += 1

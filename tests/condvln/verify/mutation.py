@@ -48,18 +48,22 @@ class Files:
     manifest: Document
     record: Document
     truth: Document
+    looking_truth: Document | None
 
     @classmethod
     def of(cls, row: Row) -> Files:
         assert row.record is not None
         assert row.truth is not None
-        return cls(
-            row.manifest.model_dump(mode="json"), copy.deepcopy(dict(row.record)), copy.deepcopy(dict(row.truth))
-        )
+        truths = [copy.deepcopy(dict(row.truth)), copy.deepcopy(row.looking_truth)]
+        return cls(row.manifest.model_dump(mode="json"), copy.deepcopy(dict(row.record)), *truths)
 
     def row(self, split: str) -> Row:
-        """As it is read back. Raises ValidationError where it is no manifest row any more."""
-        return Row(split, ManifestEpisode.model_validate(self.manifest), self.record, self.truth)
+        """As it is read back; the record along the looking path follows the stock one. Raises ValidationError where it
+        is no manifest row any more.
+        """
+        looking = {**self.record, "reference_path": self.manifest["looking_path"]}
+        manifest = ManifestEpisode.model_validate(self.manifest)
+        return Row(split, manifest, self.record, self.truth, looking, self.looking_truth)
 
     # -- changes that are carried through ------------------------------------------------------------------------------
 

@@ -57,17 +57,18 @@ def test_records_in_another_order_are_found(export: Path, made_export) -> None:
     assert not files.unread
 
 
-def test_a_missing_and_a_foreign_record_are_told(export: Path) -> None:
+@pytest.mark.parametrize(("variant", "fact"), [("vlnce", "record"), ("vlnce_looking", "looking_record")])
+def test_a_missing_and_a_foreign_record_are_told(export: Path, variant: str, fact: str) -> None:
     split = split_of(export)
 
     def change(document) -> None:
         document["episodes"][0]["episode_id"] = "foreign"
 
-    rewrite(export / "vlnce" / split / f"{split}.json.gz", change)
+    rewrite(export / variant / split / f"{split}.json.gz", change)
     files = ExportFiles(export)
     rows = [row for run in files.runs() for row in run.rows]
-    assert [row.record for row in rows].count(None) == 1
-    assert [(entry.episode_id, entry.fact) for entry in files.unread] == [("foreign", "record")]
+    assert [getattr(row, fact) for row in rows].count(None) == 1
+    assert [(entry.episode_id, entry.fact) for entry in files.unread] == [("foreign", fact)]
 
 
 def test_a_line_that_is_no_row_is_told(export: Path) -> None:

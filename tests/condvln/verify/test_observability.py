@@ -177,7 +177,7 @@ def test_presence_that_nobody_can_deny_is_refuted_with_either_truth(made_export)
             assert "absence_seen" not in {d.fact for d in sound.disagreements}
             assert [d.place for d in changed_one.disagreements if d.fact == "absence_seen"] == [f"condition {k}"]
             break
-    assert asked
+    assert asked > 2
 
 
 def test_a_relation_of_what_is_not_there_is_refuted_as_its_absence_is(made_export) -> None:

@@ -20,7 +20,7 @@ import pytest
 from jobs.trajectories import Request
 from tests.jobs.trajectories.made import proven, rows
 
-LEAST = 200
+LEAST = 500
 
 
 @dataclass
