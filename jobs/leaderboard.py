@@ -17,7 +17,6 @@ from condvln.evaluation.agents import Agent, agent_named, predict_all
 from condvln.evaluation.aggregate import Estimate, compare, summary
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.metrics import keys_of, metrics_of
-from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.export.contents import exported_snapshot
 from condvln.formats.streams import atomic_stream
@@ -113,11 +112,10 @@ def _references(export: Path, split: str, roots: Sequence[Path], scenes: Sequenc
     if scenes:
         agents[LOOKER] = looking_agent(scenes, ())
     sees = evidence_seen(export, scenes, roots) if scenes else None
-    found = []
-    for name, agent in agents.items():
-        walked, rules = predict_all(agent, tasks, navmeshes, seed=_SEED), ScoreRules(all_round=name == LOOKER)
-        found.append(evaluate(tasks, walked, navmeshes, rules, agent=name, sees_of=sees))
-    return found
+    return [
+        evaluate(tasks, predict_all(agent, tasks, navmeshes, seed=_SEED), navmeshes, agent=name, sees_of=sees)
+        for name, agent in agents.items()
+    ]
 
 
 def _row(evaluation: Evaluation, path: Path | None) -> LeaderboardRow:

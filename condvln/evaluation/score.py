@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
@@ -65,8 +65,6 @@ class ScoreRules:
     """Cut paths at the episode's step budget."""
     forward: float = VLN_CE.forward
     """Length of the agent's action forward."""
-    all_round: bool = False
-    """The agent's camera shows all directions at once, so that ``justified`` does not depend on headings."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,6 @@ def score(
     length = float(steps.sum())
     reached = _reached(task, walk, nearness, rules, radius)
     leaf = _leaf(task, walk, nearness, radius)
-    shown = replace(prediction, headings=None) if rules.all_round else prediction
     unreachable = not np.isfinite(error)
     return Score(
         path_length=length if np.isfinite(length) else NAN,
@@ -177,7 +174,7 @@ def score(
         spl_route=spl(success, task.gold.route_length, length),
         **_fidelity("", positions, task.reference, success, length, rules),
         **_looking(task, positions, success, length, rules),
-        justified=NAN if sees is None else float(success and _in_time(task, walk, nearness, radius, sees(shown))),
+        justified=NAN if sees is None else float(success and _in_time(task, walk, nearness, radius, sees(prediction))),
         steps=len(positions) - 1.0 if prediction.counts_actions else NAN,
         collisions=walk.collisions,
         stopped=float(walk.stopped),

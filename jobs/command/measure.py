@@ -180,9 +180,6 @@ def evaluate(
         typer.Option(help="success distance of OSR in metres, if larger than that of SR (VLN-CE uses 3)"),
     ] = None,
     fast_dtw: Annotated[bool, typer.Option("--fast-dtw", help="compute nDTW by FastDTW, as VLN-CE does")] = False,
-    all_round: Annotated[
-        bool, typer.Option("--all-round", help="the agent has a panoramic camera: justified ignores its headings")
-    ] = False,
     assume_stop: Annotated[
         bool, typer.Option("--assume-stop", help="treat the last pose of a path without STOP as STOP")
     ] = False,
@@ -262,12 +259,7 @@ def evaluate(
         )
     scenes, roots = folders_of(data_of(export, data))
     options = SplitOptions(
-        ScoreRules(
-            cast(DistanceMode, distance),
-            oracle_success_distance=oracle_radius,
-            fast_dtw=fast_dtw,
-            all_round=all_round,
-        ),
+        ScoreRules(distance=cast(DistanceMode, distance), oracle_success_distance=oracle_radius, fast_dtw=fast_dtw),
         radii=tuple(radius or ()),
         navmesh_roots=tuple(roots),
         reading=ReadRules(assume_stop, cast(Duplicates, duplicates), allow_partial),
