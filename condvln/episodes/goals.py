@@ -151,22 +151,26 @@ def goal_points(
     """Return at most ``rules.points`` navigable points (k, 3) around `item`, sorted by distance to its box; empty if no
     point is suitable.
 
+    Points farther than ``rules.reach`` from its box are used on sides where no nearer one is suitable: a level camera
+    that stands close to a low thing looks over it.
+
     With `sight`, a level camera recognises the object from each point, so that a walk ends with it in view. All points
     lie on the same side of any wall: their geodesic distance to the point nearest to the box is at most half the box's
     perimeter plus WALL_DETOUR, or plus FURNITURE_DETOUR where walls limit what is visible.
     """
     box = Footprint.of(item) or Footprint(item.center[[0, 2]], np.zeros(2), np.eye(2))
     detour = FURNITURE_DETOUR if sight is not None and sight[0].walls_known else WALL_DETOUR
+    points = np.empty((0, 3))
     for offsets, reach in ((near_rings(rules), rules.reach), (far_rings(rules), rules.reach_at_most)):
-        points = _standing_places(item, room, box, offsets, reach, pathfinder, places, obstacles)
+        found = _standing_places(item, room, box, offsets, reach, pathfinder, places, obstacles)
         if sight is not None:
             view, recognition = sight
-            points = points[~_is_edge_on(points, box)]
-            points = points[view.recognised(eyes_at(points, places.eye_height), item.object_id, recognition)]
-        if len(points):
-            ordered = points[np.lexsort((points[:, 2], points[:, 0], box.distance(points)))]
-            return _spread(ordered, box, rules.points, pathfinder, box.half_perimeter + detour)
-    return np.empty((0, 3))
+            found = found[~_is_edge_on(found, box)]
+            found = found[view.recognised(eyes_at(found, places.eye_height), item.object_id, recognition)]
+        away = np.linalg.norm(found[:, None] - points, axis=2).min(axis=1, initial=np.inf)
+        points = np.concatenate([points, found[away > rules.reach_at_most]])
+    ordered = points[np.lexsort((points[:, 2], points[:, 0], box.distance(points)))]
+    return _spread(ordered, box, rules.points, pathfinder, box.half_perimeter + detour) if len(points) else points
 
 
 def _is_edge_on(points: F64, box: Footprint) -> NDArray[np.bool_]:

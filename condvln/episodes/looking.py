@@ -247,7 +247,7 @@ class LookingPaths:
             sides = _below(program, branch.then), _below(program, branch.otherwise)
             ways = self.observer.needs(program.conditions[branch.condition])
             for taken, other in (sides, sides[::-1]):
-                far = ~_near(self.places, routes, taken, other, _NEAR)
+                far = ~_near(self.places, routes, taken, other)
                 if not any(all(self._is_shown(need, far) for need in way) for way in ways):
                     return False
         return True
@@ -342,7 +342,7 @@ class LookingPaths:
             """Return which places (2, n) are near a stop to which a decision leads, and to which the way from the start
             passes one.
             """
-            return np.array([_near(points, routes, *sides, _NEAR), np.isin(at, leg[_near(on_legs, routes, *sides)])])
+            return np.array([_near(points, routes, *sides), np.isin(at, leg[_near(on_legs, routes, *sides)])])
 
         def plan(number: int, order: Sequence[int]) -> _Plan:
             """Return the best plan to a leaf that decides the conditions on its route in an order."""
@@ -503,10 +503,12 @@ class LookingPaths:
                 return places[-1] if places else START
         if walk.acts_early(asked):
             raise Rejected("looking_unseen")
-        ends, is_direct = leaf.route.stops, len(walk.corners) == 1
-        if len(ends) == 1 and not is_direct:
+        ends = leaf.route.stops
+        if len(ends) == 1 and len(walk.corners) > 1:
             ends = leaf.goals[[int(self._metres(walk.place[None], leaf.goals).argmin())]]
         walk.finish(ends, routes.objects[number][-1])
+        # The walk takes no other way than the route, which is as short as another at times.
+        is_direct = len(walk.corners) == 1 + len(ends)
         path, length = (leaf.route.path, leaf.route.length) if is_direct else self._path(np.array(walk.corners))
         if length > self.rules.looking_detour.most(leaf.route.length):
             raise Rejected("looking_detour")

@@ -148,11 +148,9 @@ class _Checker:
         if not away:
             return [("goal_reach", False, object_id, "no such object")]
         rules = self._rules.goals
-        # Farther points are used only if no nearer one is walkable, so never both.
-        reach = rules.reach if min(away) <= rules.reach else rules.reach_at_most
         wrong = [place for place, good in zip(places, here, strict=True) if not good]
         found: list[Verdict] = [
-            ("goal_reach", max(away) <= reach + ROUNDING, (object_id, reach), max(away)),
+            ("goal_reach", max(away) <= rules.reach_at_most + ROUNDING, (object_id, rules.reach_at_most), max(away)),
             ("goal_reach", not wrong, ("on the floor and in the room of", object_id), wrong),
         ]
         if are_goals:

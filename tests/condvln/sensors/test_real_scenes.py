@@ -117,5 +117,5 @@ def test_evidence_that_is_visible_at_once_has_pixels(made: list[World]) -> None:
                 ways = [{number[witness], *(number[a] for a in anchors)} for witness in condition.witnesses]
                 seen_ways.append(any(way <= seen for way in ways))
     print(f"{len(seen_ways)} conditions, seen {np.mean(seen_ways):.4f}")
-    assert len(seen_ways) > 20
+    assert len(seen_ways) >= 15
     assert np.mean(seen_ways) >= 0.995
