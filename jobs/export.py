@@ -19,7 +19,7 @@ from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.report import CardPicture, ExportReport
 from condvln.export.snapshot import NavmeshBytes, export_snapshot
 from condvln.export.staging import alone_in, staged
-from condvln.export.tables import FolderTables, Row, SnapshotTables
+from condvln.export.tables import FolderTables, Row
 from condvln.export.viewpoints import FOLDER, GraphEpisodes, ViewpointReport, write_viewpoints
 from condvln.formats.streams import atomic_stream
 from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
@@ -301,7 +301,7 @@ def graphs_of(config: Config) -> GraphFolder:
     return GraphFolder(*graph_folders(config))
 
 
-def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path) -> Iterator[CardPicture]:
+def card_pictures(tables: FolderTables, navmeshes: NavmeshBytes, export: Path) -> Iterator[CardPicture]:
     """Yield a picture for each source of an export. The pictures depend on the snapshot alone: navmeshes that belong to
     a dataset are not drawn, since the dataset may be missing on this machine. Sources whose terms forbid passing on
     images get no picture.
@@ -339,7 +339,7 @@ def _chosen(export: Path, sources: set[str]) -> dict[str, Row]:
     return {source: line.row().model_dump(mode="json") for source, line in chosen.items()}
 
 
-def _rows(tables: SnapshotTables, name: str, source: str, scene_id: str) -> pa.Table:
+def _rows(tables: FolderTables, name: str, source: str, scene_id: str) -> pa.Table:
     """Return the rows of one scene."""
     kept: Sequence[pa.RecordBatch] = [
         batch.filter(pc.equal(batch["scene_id"], scene_id)) for batch in tables.batches(name, source)

@@ -16,7 +16,7 @@ from condvln.evaluation.score import Score, ScoreRules, Sees, score
 from condvln.evaluation.task import Task
 from schemas.errors import FormatError
 
-__all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "evaluate"]
+__all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "columns_of", "evaluate"]
 
 AXES: Final = (
     "source",
@@ -155,11 +155,12 @@ def evaluate(
         {axis: np.array([task.axes[axis] for task in tasks], dtype=object) for axis in AXES},
         np.array([task.gold_leaf for task in tasks], dtype=np.int64),
         np.array([len(task.leaves) for task in tasks], dtype=np.int64),
-        _columns(scores, [item.name for item in fields(Score)]),
-        {radius: _columns(kept, SWEPT) for radius, kept in swept.items()},
+        columns_of(scores, [item.name for item in fields(Score)]),
+        {radius: columns_of(kept, SWEPT) for radius, kept in swept.items()},
         (said,) if all_round else (),
     )
 
 
-def _columns(scores: Sequence[Score | None], names: Iterable[str]) -> dict[str, npt.NDArray[np.float64]]:
+def columns_of(scores: Sequence[Score | None], names: Iterable[str]) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the named measures of scores, a column each."""
     return {name: np.array([getattr(row, name) for row in scores], dtype=np.float64) for name in names}
