@@ -30,9 +30,7 @@ UNPUBLISHED: Final = "not exported"
 """Split of an episode that is in the snapshot and in no split of the export."""
 
 
-def episode_document(
-    row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None, parsed: bool = True
-) -> Document:
+def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None) -> Document:
     """Return an episode's document.
 
     Parameters
@@ -40,7 +38,6 @@ def episode_document(
     row : a row of a manifest, as `condvln.manifest.manifest_row` makes it or as JSON; points are lists or have x, y, z
     facts : relations of its scene; without them the page shows no measures
     certificate : its line of ``certificates/<split>.jsonl``
-    parsed : whether the text's clauses are wanted; pictures have none, and building the parser takes seconds
     """
     program = Program.model_validate(row["program"])
     start = _point(row["start_position"])
@@ -64,7 +61,7 @@ def episode_document(
         "moves": row["moves"],
         "words": row["words"],
         "text": row["instruction_text"],
-        "clauses": clauses(row["instruction_text"], program) if parsed else [],
+        "clauses": clauses(row["instruction_text"], program),
         "program": program.model_dump(mode="json"),
         "route": list(program.route()[0]),
         "gold": row["gold_leaf"],
