@@ -18,6 +18,7 @@ from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene.rotations import heading_of
 from condvln.sensors import noisy_move
 from schemas.config import NoiseConfig
 from schemas.errors import UsageError
@@ -153,12 +154,6 @@ def walk(
 
 
 _BLOCKED: Final = 1e-3
-
-
-def heading_of(rotation: npt.ArrayLike) -> float:
-    """Return the heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
-    values = np.asarray(rotation, np.float64)
-    return 2.0 * math.atan2(float(values[1]), float(values[3])) % (2.0 * math.pi)
 
 
 class SteppedEpisode:

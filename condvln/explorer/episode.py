@@ -4,7 +4,6 @@ tables. Which words of the text state which condition and which stop is found by
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -20,6 +19,7 @@ from condvln.explorer.evidence import SceneFacts
 from condvln.instructions.grammar_source import grammar_source
 from condvln.instructions.language import Language, Slot, language
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, VLN_CE
+from condvln.scene.rotations import heading_of
 from schemas.program import Program
 
 __all__ = ["UNPUBLISHED", "clauses", "episode_document", "episode_labels"]
@@ -42,7 +42,7 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
     program = Program.model_validate(row["program"])
     start = _point(row["start_position"])
     rotation = _point(row["start_rotation"])
-    heading = heading_degrees(2.0 * math.atan2(rotation[1], rotation[3]) % (2.0 * math.pi))
+    heading = heading_degrees(heading_of(rotation))
     place = dict(zip("xyz", start, strict=True))
     return {
         "id": str(row["episode_id"]),

@@ -116,10 +116,6 @@ Complete = Callable[[Path, ExportReport], None]
 Pictures = Callable[[Path], Iterable[CardPicture]]
 """Called with the new folder after the manifests are written; returns the pictures of the dataset card."""
 
-Progress = Callable[[int, int], None]
-"""Called with the number of written episodes and of all episodes."""
-
-
 _TEXT_COLUMNS: Final = (
     "scene_id",
     "episode_id",
@@ -145,7 +141,6 @@ def export_snapshot(
     graphs: Graphs | None = None,
     former: FolderTables | None = None,
     pictures: Pictures | None = None,
-    progress: Progress | None = None,
     complete: Complete | None = None,
 ) -> ExportReport:
     """Write all splits of a snapshot, one scene in memory at a time.
@@ -196,12 +191,9 @@ def export_snapshot(
             graphs=graphs,
             show=None if gate is None else gate.add,
         )
-        total = int(sum((codes != OUT).sum() for codes in splits_of.values()))
         with writer.open():
             for source, scene, chosen in _chosen(tables, splits_of):
                 writer.add_scene(source, scene, chosen)
-                if progress is not None:
-                    progress(sum(report.episodes.values()), total)
         if gate is not None:
             report.bias = gate.report()
         for picture in pictures(new) if pictures is not None else ():

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from condvln.explorer.site import chunk_content
 from condvln.export.tables import FolderTables
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.sources.family import FAMILIES
@@ -26,6 +25,7 @@ from jobs.workspace import published, snapshot_folder
 from schemas.config import Config, InstructionsConfig
 from schemas.errors import UsageError
 from tests.jobs.conftest import configuration
+from tests.site_chunks import chunk_content
 
 
 def chunks(page: Path) -> dict[str, Any]:
