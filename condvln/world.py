@@ -41,7 +41,7 @@ from condvln.scene import Scene
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.scene import SceneGeometry
 from condvln.sensors import Frame, Renderer, cameras_of, open_renderer
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import (
     AgentConfig,
     CameraConfig,

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.goal_distances import Navmesh, Nearness
+from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.metrics import keys_of
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, Sees, score
 from condvln.evaluation.task import Task
 from schemas.errors import FormatError
+
+if TYPE_CHECKING:
+    from condvln.navigation.pathfinder import Pathfinder
 
 __all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "columns_of", "evaluate"]
 
@@ -35,7 +38,7 @@ AXES: Final = (
 SWEPT: Final = keys_of("sweep")
 """Measures that depend on the success distance; computed for each distance of a sweep."""
 
-PathfinderOf = Callable[[Task], Navmesh]
+PathfinderOf: TypeAlias = "Callable[[Task], Pathfinder]"
 SeesOf = Callable[[Task], Sees | None]
 
 

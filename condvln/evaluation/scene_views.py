@@ -11,7 +11,7 @@ from typing import Final
 from condvln.scene import Scene
 from condvln.sensors import Renderer, open_renderer
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.errors import UsageError
 
 __all__ = ["SCENES_KEPT", "SceneViews", "View"]

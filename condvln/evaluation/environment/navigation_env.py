@@ -23,7 +23,7 @@ from condvln.evaluation.task import Task
 from condvln.evaluation.walker import SteppedEpisode
 from condvln.scene.rotations import heading_of
 from condvln.sensors import PRESETS, TextSensor, cameras_of, noisy_pose
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import CameraConfig, NoiseConfig
 from schemas.errors import UsageError
 
