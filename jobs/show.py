@@ -62,7 +62,7 @@ def show_episodes(
         tree = program_tree(program)
         report.document["episodes"].append({**row, "program": program.model_dump(mode="json"), "tree": tree})
         placed = row["episode_id"] is not None
-        report.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
+        report.lines.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
         if picture is not None and placed:
             world = world_of(config, row)
             report.lines.append(f"  picture: {world.draw_row(row, program, _picture(picture, row))}")
@@ -280,7 +280,7 @@ def show_export(
         document = row.model_dump(mode="json")
         report.document["episodes"].append({**document, "tree": tree})
         shown = published_row(row)
-        report.extend(episode_lines(shown, tree))
+        report.lines.extend(episode_lines(shown, tree))
         if picture is not None:
             navmesh = NavmeshFolder((export, *roots)).path(row.navmesh, row.navmesh_sha256, f"episode {row.episode_id}")
             bare = Scene(row.source, row.scene_id, export, (), ())

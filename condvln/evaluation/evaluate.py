@@ -99,7 +99,6 @@ def evaluate(
     agent: str = "agent",
     where: str = "",
     radii: Sequence[float] = (),
-    prune: bool = True,
     sees_of: SeesOf | None = None,
 ) -> Evaluation:
     """Score every task; a task without a prediction counts as a failure.
@@ -109,7 +108,6 @@ def evaluate(
     pathfinder_of : returns the pathfinder of a task's scene
     where : name of the predictions' file, for messages
     radii : success distances of a sweep, metres
-    prune : compute only distances that can matter; if False, compute all of them, with equal results
     sees_of : returns what is recognised on walks in a task's scene, None where the scene is not there; `justified` is
         undefined then
 
@@ -128,7 +126,7 @@ def evaluate(
     def judge(number: int, prediction: Prediction | None) -> None:
         nonlocal all_round
         task = tasks[number]
-        nearness = Nearness(pathfinder_of(task), prune=prune)
+        nearness = Nearness(pathfinder_of(task))
         sees = sees_of(task) if sees_of is not None else None
         all_round += sees is not None and prediction is not None and prediction.headings is None
         scores[number] = score(task, prediction, nearness, rules, where, sees)
