@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from condvln.formats.dataset_root import DatasetRoot
-from condvln.formats.json_document import canonical_json
 from condvln.formats.regular_file import open_regular, refuse_pointer
+from schemas.canonical import canonical_json
 from schemas.errors import InputError, MissingFileError
 
 __all__ = [
