@@ -24,12 +24,12 @@ from isal import igzip
 
 from condvln.episodes.identity import numeric_id
 from condvln.export.snapshot import export_snapshot
-from condvln.export.tables import MemoryTables, rows_of
+from condvln.export.tables import rows_of
 from condvln.export.tokens import Vocabulary
 from condvln.export.vlnce import ground_truth, scene_file, vlnce_episode
 from condvln.formats.streams import GZIP_LEVEL
 from schemas.tables import SCENES
-from tests.made_snapshot import made_scene, made_snapshot
+from tests.made_snapshot import MemoryTables, made_scene, made_snapshot
 
 EPISODES = 20_000
 PER_SCENE = 600
@@ -48,7 +48,7 @@ class Repeated:
     sources: tuple[str, ...] = ("procthor",)
 
     def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """See ``SnapshotTables``."""
+        """See ``FolderTables``."""
         for number in range(self.scenes):
             name = f"house_{number:07d}"
             if table == "scenes":

@@ -23,7 +23,7 @@ from rich.console import Console
 from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from condvln.verify import Surfaces, VerifierRules, proof, prove_export
 from condvln.verify.files import ExportFiles
 from condvln.verify.proof import SceneReader

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from pydantic import ValidationError
 
 from condvln.episodes.placing import heading_degrees
 from condvln.formats.json_entries import json_lines, parsed
+from condvln.scene.rotations import heading_of
 from schemas.base import SCHEMA_VERSION
 from schemas.errors import FormatError, shown_path
 from schemas.evaluation import ManifestEpisode
@@ -157,13 +157,12 @@ def published_row(episode: ManifestEpisode) -> dict[str, Any]:
         }
         for leaf in row["leaves"]
     ]
-    yaw = 2.0 * math.atan2(row["start_rotation"][1], row["start_rotation"][3]) % (2.0 * math.pi)
     looking = row["looking_path"]
     return {
         **row,
         "leaves": leaves,
         "start_position": _point(row["start_position"]),
-        "start_heading_degrees": heading_degrees(yaw),
+        "start_heading_degrees": heading_degrees(heading_of(row["start_rotation"])),
         "looking_path": None if looking is None else [_point(p) for p in looking],
     }
 

@@ -41,7 +41,7 @@ from condvln.scene import Scene
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.scene import SceneGeometry
 from condvln.sensors import Frame, Renderer, cameras_of, open_renderer
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import (
     AgentConfig,
     CameraConfig,
@@ -56,6 +56,7 @@ from schemas.config import (
 )
 from schemas.errors import InputError
 from schemas.evaluation import ManifestEpisode
+from schemas.program import Program
 
 __all__ = ["World", "label_priors", "open_world"]
 
@@ -218,20 +219,14 @@ class World:
         """Write a PNG of an episode and return its path. The picture shows the plan from above, what the conditions ask
         about, the path to every leaf, the first view and a legend.
         """
-        tile = self.pathfinder.navmesh.tile
-        floor = [tile.verts[polygon["verts"][: polygon["vert_count"]]] for polygon in tile.polys]
-        row = published_row(episode)
-        draw_episode(
-            Path(path),
-            self.scene,
-            floor,
-            row,
-            program_tree(episode.program),
-            program=episode.program,
-            walls=wall_lines(self.scene, self.geometry),
-            view=self.first_view(row),
-        )
-        return Path(path)
+        return self.draw_row(published_row(episode), episode.program, Path(path))
+
+    def draw_row(self, row: Mapping[str, Any], program: Program, path: Path) -> Path:
+        """Draw, as `draw` does, an episode that is a row of the table ``episodes`` as plain Python values."""
+        floor, walls = self.pathfinder.navmesh.tile.outlines(), wall_lines(self.scene, self.geometry)
+        tree, view = program_tree(program), self.first_view(row)
+        draw_episode(path, self.scene, floor, row, tree, program=program, walls=walls, view=view)
+        return path
 
     def first_view(self, row: Mapping[str, Any]) -> npt.NDArray[np.uint8]:
         """Return the colours (h, w, 3) that an agent sees at the start of an episode.

@@ -24,7 +24,8 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import built_path, with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.family import FAMILIES
-from condvln.sources.source import Source, hash_file
+from condvln.sources.scene_source import Source
+from condvln.sources.source import hash_file
 from jobs.pipeline import open_configured
 from jobs.progress import RunProgress
 from jobs.report import Report

@@ -7,22 +7,22 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache, partial
 from operator import itemgetter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from condvln.explorer import episode_document, plan_document
-from condvln.explorer.picture import plan_picture
 from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.report import CardPicture, ExportReport
 from condvln.export.snapshot import NavmeshBytes, export_snapshot
 from condvln.export.staging import alone_in, staged
-from condvln.export.tables import FolderTables, Row, SnapshotTables
+from condvln.export.tables import FolderTables, Row
 from condvln.export.viewpoints import FOLDER, GraphEpisodes, ViewpointReport, write_viewpoints
 from condvln.formats.streams import atomic_stream
-from condvln.manifest import ManifestLine, manifest_lines, manifest_paths
+from condvln.instructions.programs import program_tree
+from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
 from condvln.navigation.graph_pathfinder import GraphFolder
 from condvln.navigation.navmesh_file import parse_navmesh
 from condvln.scene.tables import scene_from_tables
@@ -36,6 +36,7 @@ from jobs.report import Report, Section
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
+from schemas.evaluation import ManifestEpisode
 from schemas.program import ObjectRef
 
 __all__ = ["alone_in_export", "card_pictures", "export_snapshot_of", "graphs_of", "run_export", "write_export"]
@@ -301,7 +302,7 @@ def graphs_of(config: Config) -> GraphFolder:
     return GraphFolder(*graph_folders(config))
 
 
-def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path) -> Iterator[CardPicture]:
+def card_pictures(tables: FolderTables, navmeshes: NavmeshBytes, export: Path) -> Iterator[CardPicture]:
     """Yield a picture for each source of an export. The pictures depend on the snapshot alone: navmeshes that belong to
     a dataset are not drawn, since the dataset may be missing on this machine. Sources whose terms forbid passing on
     images get no picture.
@@ -310,18 +311,25 @@ def card_pictures(tables: SnapshotTables, navmeshes: NavmeshBytes, export: Path)
     ----------
     export : the new folder, in which the manifests are written
     """
+    import matplotlib
+
+    from condvln.episodes.picture import draw_episode
+
     for source, row in sorted(_chosen(export, set(tables.sources)).items()):
-        scene_id = row["scene_id"]
+        scene_id = row.scene_id
         own = {name: _rows(tables, name, source, scene_id) for name in ("scenes", "rooms", "objects")}
         scene = scene_from_tables(own, Path(), family=source)
         data = navmeshes(source, own["scenes"].to_pylist()[0])
-        tile = None if data is None else parse_navmesh(data, scene_id).tile
-        drawn = plan_picture(plan_document(scene, tile), episode_document(row, parsed=False))
-        caption = f"{source}, scene {scene_id}, episode {row['episode_id']}: “{row['instruction_text']}”"
-        yield CardPicture(f"{PICTURES}/{source}.svg", caption, drawn)
+        floor = () if data is None else parse_navmesh(data, scene_id).tile.outlines()
+        with TemporaryDirectory() as folder, matplotlib.rc_context({"text.parse_math": False}):
+            path = Path(folder, f"{source}.png")
+            draw_episode(path, scene, floor, published_row(row), program_tree(row.program), program=row.program)
+            drawn = path.read_bytes()
+        caption = f"{source}, scene {scene_id}, episode {row.episode_id}: “{row.instruction_text}”"
+        yield CardPicture(f"{PICTURES}/{path.name}", caption, drawn)
 
 
-def _chosen(export: Path, sources: set[str]) -> dict[str, Row]:
+def _chosen(export: Path, sources: set[str]) -> dict[str, ManifestEpisode]:
     """Return the episode to draw for each source: of the source's first `LOOKED_AT` episodes, the one with the most
     leaves.
     """
@@ -336,10 +344,10 @@ def _chosen(export: Path, sources: set[str]) -> dict[str, Row]:
             if all(len(rows) == LOOKED_AT for rows in found.values()):
                 break
     chosen = {source: max(rows, key=itemgetter(0))[1] for source, rows in found.items() if rows}
-    return {source: line.row().model_dump(mode="json") for source, line in chosen.items()}
+    return {source: line.row() for source, line in chosen.items()}
 
 
-def _rows(tables: SnapshotTables, name: str, source: str, scene_id: str) -> pa.Table:
+def _rows(tables: FolderTables, name: str, source: str, scene_id: str) -> pa.Table:
     """Return the rows of one scene."""
     kept: Sequence[pa.RecordBatch] = [
         batch.filter(pc.equal(batch["scene_id"], scene_id)) for batch in tables.batches(name, source)

@@ -107,8 +107,7 @@ def picture(path: Path, out: Path) -> Report:
     from matplotlib.figure import Figure
 
     pathfinder = Pathfinder.load(path)
-    tile = pathfinder.navmesh.tile
-    corners = [tile.verts[poly["verts"][: poly["vert_count"]]] for poly in tile.polys]
+    corners = pathfinder.navmesh.tile.outlines()
     middles = np.array([polygon.mean(axis=0) for polygon in corners])
     islands = pathfinder.get_islands(middles)
     figure = Figure(figsize=(10, 10), layout="constrained")

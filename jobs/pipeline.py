@@ -12,7 +12,8 @@ from condvln.export.selection import VERSION
 from condvln.export.tables import NavmeshBytes, Row
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
-from condvln.sources.source import HashFile, SceneHandle, Source, hash_file
+from condvln.sources.scene_source import Source
+from condvln.sources.source import HashFile, SceneHandle, hash_file
 from factory.pipeline import Pipeline, TableSpec
 from factory.snapshot import Snapshot
 from factory.stage import InputFile, Unit

@@ -70,10 +70,6 @@ class Report:
         yield from (Text(line, no_wrap=whole, overflow="ignore" if whole else None) for line in self.lines)
         yield from (section.table() for section in self.sections if section.rows)
 
-    def extend(self, lines: Iterable[str]) -> None:
-        """Add lines."""
-        self.lines.extend(lines)
-
 
 def by_cause(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     """Return rows of (scene, …, cause), those of one cause as one row that counts the scenes and names the first."""

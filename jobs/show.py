@@ -15,11 +15,11 @@ from typing import Any, Final, TypeVar
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from condvln.episodes.picture import draw_episode, wall_lines
+from condvln.episodes.picture import draw_episode
 from condvln.export.splits import observability_class
 from condvln.instructions.programs import program_tree, programs_from_table
 from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
-from condvln.navigation.navmesh_file import NavMeshFile, read_navmesh
+from condvln.navigation.navmesh_file import read_navmesh
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.scene import Scene
 from condvln.sources.source import hash_file
@@ -62,10 +62,10 @@ def show_episodes(
         tree = program_tree(program)
         report.document["episodes"].append({**row, "program": program.model_dump(mode="json"), "tree": tree})
         placed = row["episode_id"] is not None
-        report.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
+        report.lines.extend(episode_lines(row, tree) if placed else _instruction_lines(row, tree))
         if picture is not None and placed:
             world = world_of(config, row)
-            report.lines.append(_picture(picture, row, tree, program, world.pathfinder.navmesh, world))
+            report.lines.append(f"  picture: {world.draw_row(row, program, _picture(picture, row))}")
         report.lines.append("")
     return report
 
@@ -236,21 +236,10 @@ def world_of(config: Config, row: Mapping[str, Any]) -> World:
     raise fault
 
 
-def _picture(
-    folder: Path, row: dict[str, Any], tree: str, program: Program, navmesh: NavMeshFile, world: World | Scene
-) -> str:
-    """Draw an episode on its navmesh, with furniture, walls and the first view where the whole scene is there; return
-    the line that names the picture.
-    """
-    floor = [navmesh.tile.verts[poly["verts"][: poly["vert_count"]]] for poly in navmesh.tile.polys]
+def _picture(folder: Path, row: Mapping[str, Any]) -> Path:
+    """Return the file to draw an episode to, in a folder that is then there."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{row['episode_id']}.png"
-    if isinstance(world, Scene):
-        draw_episode(path, world, floor, row, tree, program=program)
-    else:
-        walls = wall_lines(world.scene, world.geometry)
-        draw_episode(path, world.scene, floor, row, tree, program=program, walls=walls, view=world.first_view(row))
-    return f"  picture: {path}"
+    return folder / f"{row['episode_id']}.png"
 
 
 ID_WIDTH: Final = 16
@@ -291,11 +280,13 @@ def show_export(
         document = row.model_dump(mode="json")
         report.document["episodes"].append({**document, "tree": tree})
         shown = published_row(row)
-        report.extend(episode_lines(shown, tree))
+        report.lines.extend(episode_lines(shown, tree))
         if picture is not None:
             navmesh = NavmeshFolder((export, *roots)).path(row.navmesh, row.navmesh_sha256, f"episode {row.episode_id}")
             bare = Scene(row.source, row.scene_id, export, (), ())
-            report.lines.append(_picture(picture, shown, tree, row.program, read_navmesh(navmesh), bare))
+            path, floor = _picture(picture, shown), read_navmesh(navmesh).tile.outlines()
+            draw_episode(path, bare, floor, shown, tree, program=row.program)
+            report.lines.append(f"  picture: {path}")
         report.lines.append("")
     return report
 

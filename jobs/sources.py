@@ -21,7 +21,8 @@ from condvln.labels import vocabulary
 from condvln.navigation.scene_navmesh import with_shipped_navmesh
 from condvln.scene import Scene
 from condvln.sources.family import look_for
-from condvln.sources.source import UNKNOWN_LABEL, SceneHandle, Source
+from condvln.sources.scene_source import Source
+from condvln.sources.source import UNKNOWN_LABEL, SceneHandle
 from jobs.pipeline import open_configured
 from jobs.report import Report, Section, by_cause
 from jobs.workspace import file_hashes, hasher

@@ -14,8 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import ValidationError
-
 from condvln.export.contents import read_index
 from condvln.formats.image_files import encoders
 from condvln.manifest import ManifestLine, manifest_lines, manifest_path, manifest_paths
@@ -28,6 +26,7 @@ from condvln.trajectories.uninavid import REDUCED
 from factory.stage import InputFile, Unit
 from jobs.agents import datasets_of
 from jobs.configuration import load_config
+from jobs.export_origin import config_of
 from jobs.pipeline import BYTES_BASE, open_configured, scene_payload
 from schemas.canonical import digest
 from schemas.config import CameraConfig, Config, SourceConfig, TrajectoryConfig
@@ -39,7 +38,6 @@ __all__ = [
     "Estimate",
     "Frames",
     "WalkedSplit",
-    "configured",
     "encoder_lines",
     "estimate",
     "find_split",
@@ -59,7 +57,8 @@ def recipe_target(recipe: Recipe, scenes: tuple[str, ...]) -> WalkedSplit:
 
     scenes : ``FAMILY=FOLDER`` each
     """
-    return WalkedSplit(recipe.folder, recipe.record.split, (), configured(scenes), {}, recipe.record.export_snapshot)
+    config = config_of(recipe.folder, datasets_of(scenes))
+    return WalkedSplit(recipe.folder, recipe.record.split, (), config, {}, recipe.record.export_snapshot)
 
 
 def recipe_units(recipe: Recipe, target: WalkedSplit, hash_file: HashFile) -> list[Unit]:
@@ -239,7 +238,7 @@ def find_split(text: str, split: str, scenes: Sequence[str] = (), overrides: Seq
     path = Path(text)
     if path.is_dir():
         export = path.resolve()
-        config = configured(scenes)
+        config = config_of(export, datasets_of(scenes))
     else:
         config = load_config(path, overrides)
         if config.export is None:
@@ -262,21 +261,6 @@ def find_split(text: str, split: str, scenes: Sequence[str] = (), overrides: Seq
         texts if isinstance(texts, dict) else {},
         str(index.get("snapshot", "")),
     )
-
-
-def configured(scenes: Sequence[str]) -> Config:
-    """Return a configuration whose sources are the named datasets; the rest of it is the default."""
-    roots = datasets_of(scenes)
-    if not roots:
-        raise UsageError(
-            "no dataset was named, so nothing can be seen", place="--data", remedy="Add --data FAMILY=DIR."
-        )
-    sources = [{"family": family, "root": root.resolve()} for family, root in roots.items()]
-    try:
-        return Config.model_validate({"name": "trajectories", "store": Path(), "sources": sources})
-    except ValidationError as error:
-        fault = error.errors()[0]
-        raise UsageError(str(fault["msg"]), place="--data", remedy="Example: procthor=data/houses") from None
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from condvln.episodes.identity import numeric_id
-from condvln.export.tables import MemoryTables
+from condvln.export.tables import BATCH_ROWS
 from condvln.navigation.points import densify
 from schemas.program import CATEGORIES, SHAPES, Category
 from schemas.tables import EPISODES, INSTRUCTIONS, SCENES
 
 ROOMS = ("kitchen", "bedroom", "bathroom", "office", "hallway")
 LABELS = ("stool", "lamp", "sink", "bed", "sofa", "desk", "plant", "towel", "mirror", "clock", "rug", "oven")
+
+
+@dataclass(frozen=True)
+class MemoryTables:
+    """The tables of a snapshot in memory, ``tables[source][name]``, in place of `FolderTables`."""
+
+    id: str
+    tables: Mapping[str, Mapping[str, pa.Table]]
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        return tuple(sorted(self.tables))
+
+    def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+        found = self.tables[source][table]
+        yield from (found if columns is None else found.select([*columns])).to_batches(max_chunksize=BATCH_ROWS)
 
 
 def point(values: Any) -> dict[str, float]:

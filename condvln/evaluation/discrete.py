@@ -13,17 +13,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, StrictInt, StrictStr, TypeAdapter, ValidationError
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import shortest_path
 
-from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation
+from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation, columns_of
 from condvln.evaluation.measures import (
     FIDELITY_DISTANCE,
     NO_LEAF,
@@ -38,13 +35,12 @@ from condvln.evaluation.score import Score, ScoreRules, branch_measures
 from condvln.evaluation.task import Task
 from condvln.export.viewpoints import ERROR_MARGIN
 from condvln.formats.json_entries import document
-from condvln.navigation.graph_pathfinder import GraphPathfinder, ViewpointGraph, read_connectivity
+from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import FormatError, MissingFileError
 
 __all__ = [
     "ERROR_MARGIN",
     "GraphBranches",
-    "GraphDistances",
     "GraphEpisode",
     "GraphSplit",
     "evaluate_graph",
@@ -55,46 +51,6 @@ __all__ = [
 NAN: Final = float("nan")
 _R2R_REMEDY: Final = "Name an R2R file: [{path_id, scan, path, instructions}, ...]"
 Table = npt.NDArray[np.float64]
-
-
-class GraphDistances:
-    """Shortest-path distances in metres between all viewpoints of a scan; infinite between viewpoints that are not
-    connected.
-    """
-
-    def __init__(self, graph: ViewpointGraph) -> None:
-        self.numbers = {name: number for number, name in enumerate(graph.ids)}
-        # A zero would mean "no edge".
-        weights = np.maximum(graph.lengths, np.finfo(float).tiny)
-        count = len(graph.ids)
-        edges = csr_array((weights, (graph.edges[:, 0], graph.edges[:, 1])), shape=(count, count))
-        self._edges = {frozenset(edge) for edge in graph.edges.tolist()}
-        self._table: Table = shortest_path(edges, method="D", directed=False)
-
-    @classmethod
-    def load(cls, path: Path) -> GraphDistances:
-        """Read the distances from ``<scan>_connectivity.json``.
-
-        Raises
-        ------
-        MissingFileError, FormatError : from :func:`~condvln.navigation.graph_pathfinder.read_connectivity`
-        """
-        return cls(read_connectivity(path))
-
-    def between(self, first: Sequence[int], second: Sequence[int]) -> Table:
-        """Return the distances in metres from each viewpoint of `first` to each of `second`, as a table (len(first),
-        len(second)).
-        """
-        found: Table = self._table[np.ix_(first, second)]
-        return found
-
-    def along(self, path: Sequence[int]) -> float:
-        """Return the length in metres of a path, with consecutive viewpoints joined by their shortest path."""
-        return float(self._table[list(path[:-1]), list(path[1:])].sum())
-
-    def gaps(self, path: Sequence[int]) -> int:
-        """Return the number of steps between different viewpoints that share no edge."""
-        return sum(a != b and frozenset((a, b)) not in self._edges for a, b in pairwise(path))
 
 
 @dataclass(frozen=True)
@@ -158,7 +114,7 @@ def read_graph_episodes(path: Path) -> list[GraphEpisode]:
 def evaluate_graph(
     episodes: Iterable[GraphEpisode],
     predictions: Iterable[GraphPrediction],
-    graphs: Mapping[str, GraphDistances],
+    graphs: Mapping[str, GraphPathfinder],
     *,
     margin: float = ERROR_MARGIN,
     where: str = "",
@@ -172,16 +128,9 @@ def evaluate_graph(
 
     Raises
     ------
-    MissingFileError : a scan without a graph
     FormatError : an unknown instruction or viewpoint, a path that begins elsewhere, an episode without a path
     """
     tasks = {episode.instruction_id: episode for episode in episodes}
-    lacking = sorted({episode.scan for episode in tasks.values()} - set(graphs))
-    if lacking:
-        raise MissingFileError(
-            f"connectivity graphs are missing for {len(lacking)} scans, such as {lacking[0]}",
-            remedy="Name the folder of <scan>_connectivity.json files",
-        )
     for task in tasks.values():
         astray = [viewpoint for viewpoint in task.path if viewpoint not in graphs[task.scan].numbers]
         if astray or not task.path:
@@ -208,7 +157,7 @@ def evaluate_graph(
     return {name: found.get(name) or _score(task, (), graphs[task.scan], margin) for name, task in tasks.items()}
 
 
-def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDistances, margin: float) -> Score:
+def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphPathfinder, margin: float) -> Score:
     reference = [graph.numbers[viewpoint] for viewpoint in episode.path]
     missing = not viewpoints
     path = [graph.numbers[viewpoint] for viewpoint in viewpoints or episode.path[:1]]
@@ -241,7 +190,7 @@ def _score(episode: GraphEpisode, viewpoints: tuple[str, ...], graph: GraphDista
 def _branching(
     branches: GraphBranches | None,
     path: Sequence[int],
-    graph: GraphDistances,
+    graph: GraphPathfinder,
     margin: float,
     *,
     success: bool,
@@ -320,7 +269,7 @@ class GraphSplit:
         of_episode = [known.get(episode.instruction_id.rsplit("_", 1)[0]) for episode in episodes]
         self._episodes = [_with_branches(e, t, graphs) for e, t in zip(episodes, of_episode, strict=True)]
         self._of_episode = of_episode
-        self._distances = {scan: GraphDistances(graphs[scan].graph) for scan in {e.scan for e in episodes}}
+        self._graphs = graphs
         self.tasks = [task for task in of_episode if task is not None]
 
     def evaluate(
@@ -339,7 +288,7 @@ class GraphSplit:
             judged.setdefault(name, replace(prediction, instruction_id=name))
         spare = len(predictions) - len(judged)
         scores, *swept = (
-            list(evaluate_graph(self._episodes, judged.values(), self._distances, margin=margin, where=where).values())
+            list(evaluate_graph(self._episodes, judged.values(), self._graphs, margin=margin, where=where).values())
             for margin in (ERROR_MARGIN, *radii)
         )
         of_episode = self._of_episode
@@ -351,8 +300,8 @@ class GraphSplit:
             {axis: np.array([self._axis(row, axis) for row in range(len(of_episode))], dtype=object) for axis in AXES},
             np.array([task.gold_leaf if task is not None else NO_LEAF for task in of_episode], dtype=np.int64),
             np.array([len(task.leaves) if task is not None else 0 for task in of_episode], dtype=np.int64),
-            _columns(scores, [*_UNDEFINED]),
-            {radius: _columns(rows, SWEPT) for radius, rows in zip(radii, swept, strict=True)},
+            columns_of(scores, [*_UNDEFINED]),
+            {radius: columns_of(rows, SWEPT) for radius, rows in zip(radii, swept, strict=True)},
             (f"{spare} predictions for texts that the file has again were left out",) if spare else (),
         )
 
@@ -361,10 +310,6 @@ class GraphSplit:
         if task is not None:
             return task.axes[axis]
         return {"source": "R2R", "scene": scan}.get(axis)
-
-
-def _columns(scores: Sequence[Score], names: Sequence[str]) -> dict[str, Table]:
-    return {name: np.array([getattr(score, name) for score in scores], dtype=np.float64) for name in names}
 
 
 def _with_branches(episode: GraphEpisode, task: Task | None, graphs: Mapping[str, GraphPathfinder]) -> GraphEpisode:

@@ -16,9 +16,9 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, Final, NoReturn, TypeAlias
 
 import numpy as np
 import orjson
@@ -36,6 +36,7 @@ from condvln.evaluation.reading import (
     without_summaries,
 )
 from condvln.evaluation.score import Score, ScoreRules
+from condvln.evaluation.task import Task
 from condvln.formats.json_entries import document, head, parsed
 from schemas.errors import FormatError
 
@@ -75,33 +76,6 @@ _ENTRY: Final = re.compile(
 _HEAD: Final = 1 << 16
 _ENTRY_BYTES: Final = 1 << 12
 _FIRST_LINES: Final = 8
-
-
-class Judged(Protocol):
-    """What this module needs to know of the episode that a result is about. The episode is a task, or comes from a
-    stock file.
-    """
-
-    @property
-    def episode_id(self) -> str: ...
-
-    @property
-    def aliases(self) -> tuple[str, ...]: ...
-
-    @property
-    def group_id(self) -> str | None: ...
-
-    @property
-    def axes(self) -> Mapping[str, str | int | None]: ...
-
-    @property
-    def gold_leaf(self) -> int: ...
-
-    @property
-    def n_leaves(self) -> int: ...
-
-    @property
-    def subgoals(self) -> int: ...
 
 
 def is_episode_stats(path: Path) -> bool:
@@ -368,7 +342,11 @@ class StockEpisode:
     group_id: str | None = None
     gold_leaf: int = NO_LEAF
     n_leaves: int = 0
-    subgoals: int = field(default=0)
+    subgoals: int = 0
+
+
+Judged: TypeAlias = Task | StockEpisode
+"""The episode that a result is about."""
 
 
 def stock_file(folder: Path, split: str) -> Path | None:

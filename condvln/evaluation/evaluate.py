@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.goal_distances import Navmesh, Nearness
+from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.metrics import keys_of
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, Sees, score
 from condvln.evaluation.task import Task
 from schemas.errors import FormatError
 
-__all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "evaluate"]
+if TYPE_CHECKING:
+    from condvln.navigation.pathfinder import Pathfinder
+
+__all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "columns_of", "evaluate"]
 
 AXES: Final = (
     "source",
@@ -35,7 +38,7 @@ AXES: Final = (
 SWEPT: Final = keys_of("sweep")
 """Measures that depend on the success distance; computed for each distance of a sweep."""
 
-PathfinderOf = Callable[[Task], Navmesh]
+PathfinderOf: TypeAlias = "Callable[[Task], Pathfinder]"
 SeesOf = Callable[[Task], Sees | None]
 
 
@@ -96,7 +99,6 @@ def evaluate(
     agent: str = "agent",
     where: str = "",
     radii: Sequence[float] = (),
-    prune: bool = True,
     sees_of: SeesOf | None = None,
 ) -> Evaluation:
     """Score every task; a task without a prediction counts as a failure.
@@ -106,7 +108,6 @@ def evaluate(
     pathfinder_of : returns the pathfinder of a task's scene
     where : name of the predictions' file, for messages
     radii : success distances of a sweep, metres
-    prune : compute only distances that can matter; if False, compute all of them, with equal results
     sees_of : returns what is recognised on walks in a task's scene, None where the scene is not there; `justified` is
         undefined then
 
@@ -125,7 +126,7 @@ def evaluate(
     def judge(number: int, prediction: Prediction | None) -> None:
         nonlocal all_round
         task = tasks[number]
-        nearness = Nearness(pathfinder_of(task), prune=prune)
+        nearness = Nearness(pathfinder_of(task))
         sees = sees_of(task) if sees_of is not None else None
         all_round += sees is not None and prediction is not None and prediction.headings is None
         scores[number] = score(task, prediction, nearness, rules, where, sees)
@@ -155,11 +156,12 @@ def evaluate(
         {axis: np.array([task.axes[axis] for task in tasks], dtype=object) for axis in AXES},
         np.array([task.gold_leaf for task in tasks], dtype=np.int64),
         np.array([len(task.leaves) for task in tasks], dtype=np.int64),
-        _columns(scores, [item.name for item in fields(Score)]),
-        {radius: _columns(kept, SWEPT) for radius, kept in swept.items()},
+        columns_of(scores, [item.name for item in fields(Score)]),
+        {radius: columns_of(kept, SWEPT) for radius, kept in swept.items()},
         (said,) if all_round else (),
     )
 
 
-def _columns(scores: Sequence[Score | None], names: Iterable[str]) -> dict[str, npt.NDArray[np.float64]]:
+def columns_of(scores: Sequence[Score | None], names: Iterable[str]) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the named measures of scores, a column each."""
     return {name: np.array([getattr(row, name) for row in scores], dtype=np.float64) for name in names}

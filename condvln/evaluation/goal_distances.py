@@ -8,10 +8,13 @@ position as given.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from condvln.navigation.pathfinder import Pathfinder
 
 __all__ = [
     "ASTRAY",
@@ -21,7 +24,6 @@ __all__ = [
     "SLACK",
     "SLIDE",
     "SNAPPED",
-    "Navmesh",
     "Nearness",
     "SnappedPath",
 ]
@@ -72,22 +74,10 @@ class SnappedPath:
         return int((~((np.hypot(x, z) <= OFF_NAVMESH) & (y <= OFF_FLOOR))).sum())
 
 
-class Navmesh(Protocol):
-    """What scores need of a pathfinder; the methods are those of :class:`~condvln.navigation.pathfinder.Pathfinder`."""
-
-    def snap_points(self, points: npt.ArrayLike) -> npt.NDArray[Any]: ...
-
-    def geodesic_distance(self, start: npt.ArrayLike, end: npt.ArrayLike) -> float: ...
-
-    def geodesic_distances(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> npt.NDArray[Any]: ...
-
-    def try_steps(self, starts: npt.ArrayLike, ends: npt.ArrayLike) -> npt.NDArray[Any]: ...
-
-
 class Nearness:
     """Measures distances in one scene, in metres. The distance to an unreachable point is infinite, never NaN."""
 
-    def __init__(self, pathfinder: Navmesh, *, prune: bool = True) -> None:
+    def __init__(self, pathfinder: Pathfinder, *, prune: bool = True) -> None:
         self._pathfinder = pathfinder
         self._prune = prune
 

@@ -19,7 +19,7 @@ from condvln.evaluation.score import Sees
 from condvln.evaluation.task import Task
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import Recognition
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import AgentConfig, EpisodeConfig, PlacesConfig
 
 __all__ = ["EvidenceSeen"]

@@ -6,15 +6,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Protocol
+from typing import Final
 
 from condvln.scene import Scene
 from condvln.sensors import Renderer, open_renderer
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.errors import UsageError
 
-__all__ = ["SCENES_KEPT", "SceneViews", "SeenScene", "View"]
+__all__ = ["SCENES_KEPT", "SceneViews", "View"]
 
 SCENES_KEPT: Final = 4
 """Number of scenes kept open; a large scan with its textures takes up to a gigabyte."""
@@ -22,20 +22,10 @@ SCENES_KEPT: Final = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class View:
-    """A scene and its renderer."""
+    """What cameras need: a scene and its renderer, as `condvln.world.World` has them too."""
 
     scene: Scene
     renderer: Renderer
-
-
-class SeenScene(Protocol):
-    """What cameras need: a scene and its renderer, as `View` and `condvln.world.World` have them."""
-
-    @property
-    def scene(self) -> Scene: ...
-
-    @property
-    def renderer(self) -> Renderer: ...
 
 
 class SceneViews:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from condvln.evaluation.goal_distances import Navmesh, Nearness, SnappedPath
+from condvln.evaluation.goal_distances import Nearness, SnappedPath
 from condvln.evaluation.measures import (
     FIDELITY_DISTANCE,
     NO_LEAF,
@@ -28,6 +28,9 @@ from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
 from condvln.navigation.follower import VLN_CE
 from schemas.errors import FormatError
+
+if TYPE_CHECKING:
+    from condvln.navigation.pathfinder import Pathfinder
 
 __all__ = ["START_TOLERANCE", "Score", "ScoreRules", "Sees", "branch_measures", "score"]
 
@@ -130,7 +133,7 @@ class _Walk:
 def score(
     task: Task,
     prediction: Prediction | None,
-    distances: Nearness | Navmesh,
+    distances: Nearness | Pathfinder,
     rules: ScoreRules | None = None,
     where: str = "",
     sees: Sees | None = None,

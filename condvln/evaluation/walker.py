@@ -18,6 +18,7 @@ from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene.rotations import heading_of
 from condvln.sensors import noisy_move
 from schemas.config import NoiseConfig
 from schemas.errors import UsageError
@@ -79,15 +80,9 @@ Eyes = Callable[[Task, Points, float], tuple[str, ...]]
 """Returns the labels in view from a position and heading."""
 
 
-def labels_in_view(
-    objects: Mapping[str, Sequence[SeenObject]],
-    pathfinder_of: Callable[[Task], Pathfinder],
-    *,
-    sight: float = SIGHT,
-    field_of_view: float = FIELD_OF_VIEW,
-) -> Eyes:
-    """Return a function that returns the labels of the objects in view: those within ``sight`` metres and within the
-    horizontal ``field_of_view`` in degrees.
+def labels_in_view(objects: Mapping[str, Sequence[SeenObject]], pathfinder_of: Callable[[Task], Pathfinder]) -> Eyes:
+    """Return a function that returns the labels of the objects in view: those within `SIGHT` metres and within the
+    horizontal `FIELD_OF_VIEW` in degrees.
 
     There is no rendering, so occlusion is estimated: an object is hidden if its geodesic distance is much longer than
     its straight-line distance.
@@ -96,7 +91,7 @@ def labels_in_view(
     ----------
     objects : by scene, as in the axis ``scene`` (``<source>/<scene id>``)
     """
-    cosine = math.cos(math.radians(field_of_view / 2))
+    cosine = math.cos(math.radians(FIELD_OF_VIEW / 2))
 
     def look(task: Task, position: Points, heading: float) -> tuple[str, ...]:
         seen = objects.get(str(task.axes["scene"]), ())
@@ -106,7 +101,7 @@ def labels_in_view(
         away = centers - position
         flat = np.hypot(away[:, 0], away[:, 2])
         ahead = away[:, 0] * -math.sin(heading) + away[:, 2] * -math.cos(heading)
-        near = (np.sqrt(np.square(away).sum(axis=1)) <= sight) & (ahead >= flat * cosine)
+        near = (np.sqrt(np.square(away).sum(axis=1)) <= SIGHT) & (ahead >= flat * cosine)
         candidates = np.flatnonzero(near)
         if not len(candidates):
             return ()
@@ -153,12 +148,6 @@ def walk(
 
 
 _BLOCKED: Final = 1e-3
-
-
-def heading_of(rotation: npt.ArrayLike) -> float:
-    """Return the heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
-    values = np.asarray(rotation, np.float64)
-    return 2.0 * math.atan2(float(values[1]), float(values[3])) % (2.0 * math.pi)
 
 
 class SteppedEpisode:

@@ -4,7 +4,6 @@ tables. Which words of the text state which condition and which stop is found by
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -20,6 +19,7 @@ from condvln.explorer.evidence import SceneFacts
 from condvln.instructions.grammar_source import grammar_source
 from condvln.instructions.language import Language, Slot, language
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, VLN_CE
+from condvln.scene.rotations import heading_of
 from schemas.program import Program
 
 __all__ = ["UNPUBLISHED", "clauses", "episode_document", "episode_labels"]
@@ -30,9 +30,7 @@ UNPUBLISHED: Final = "not exported"
 """Split of an episode that is in the snapshot and in no split of the export."""
 
 
-def episode_document(
-    row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None, parsed: bool = True
-) -> Document:
+def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None) -> Document:
     """Return an episode's document.
 
     Parameters
@@ -40,12 +38,11 @@ def episode_document(
     row : a row of a manifest, as `condvln.manifest.manifest_row` makes it or as JSON; points are lists or have x, y, z
     facts : relations of its scene; without them the page shows no measures
     certificate : its line of ``certificates/<split>.jsonl``
-    parsed : whether the text's clauses are wanted; pictures have none, and building the parser takes seconds
     """
     program = Program.model_validate(row["program"])
     start = _point(row["start_position"])
     rotation = _point(row["start_rotation"])
-    heading = heading_degrees(2.0 * math.atan2(rotation[1], rotation[3]) % (2.0 * math.pi))
+    heading = heading_degrees(heading_of(rotation))
     place = dict(zip("xyz", start, strict=True))
     return {
         "id": str(row["episode_id"]),
@@ -64,7 +61,7 @@ def episode_document(
         "moves": row["moves"],
         "words": row["words"],
         "text": row["instruction_text"],
-        "clauses": clauses(row["instruction_text"], program) if parsed else [],
+        "clauses": clauses(row["instruction_text"], program),
         "program": program.model_dump(mode="json"),
         "route": list(program.route()[0]),
         "gold": row["gold_leaf"],

@@ -25,7 +25,7 @@ from condvln.explorer.episode import episode_labels
 from condvln.formats.streams import atomic_stream
 from schemas.errors import UsageError
 
-__all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes", "chunk_content", "write_chunk"]
+__all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes", "write_chunk"]
 
 Document = dict[str, Any]
 PAGE: Final = "index.html"
@@ -223,7 +223,6 @@ def _agent(agent: str, results: Sequence[AgentResults], ids: Sequence[str]) -> D
 
 _LEVEL: Final = 6
 _NAME: Final = re.compile(r"[a-z]+(-\d+)?")
-_PARTS: Final = re.compile(rb'explorer\.receive\("([a-z]+(?:-\d+)?)", "([A-Za-z0-9+/=]*)"\);\n')
 
 
 def chunk_bytes(name: str, document: Any, level: int = _LEVEL) -> bytes:
@@ -232,14 +231,6 @@ def chunk_bytes(name: str, document: Any, level: int = _LEVEL) -> bytes:
         raise ValueError(f"{name!r} is not the name of a chunk")
     packed = gzip.compress(orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY), level, mtime=0)
     return b'explorer.receive("%s", "%s");\n' % (name.encode(), base64.b64encode(packed))
-
-
-def chunk_content(data: bytes) -> tuple[str, Any]:
-    """Return the name and the document of a chunk; the inverse of :func:`chunk_bytes`."""
-    found = _PARTS.fullmatch(data)
-    if found is None:
-        raise ValueError("not a chunk")
-    return found[1].decode(), orjson.loads(gzip.decompress(base64.b64decode(found[2])))
 
 
 def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> Path:

@@ -181,8 +181,8 @@ def _pictures(report: ExportReport) -> list[str]:
     if not report.pictures:
         return []
     said = (
-        "Plans with the start and its heading, the gold path and its leaf (green, ★), the other leaves (dashed) and "
-        "the stops before each leaf (numbered circles). `condvln explore` shows every episode so."
+        "Plans with the start, the ways to all leaves (the gold one green), their stops and what the conditions ask "
+        "about, drawn as `condvln show --picture` draws any episode."
     )
     shown = (
         f"![plan of {path.rsplit('/', 1)[1].split('.')[0]}]({path})\n\n{text}" for path, text in report.pictures.items()

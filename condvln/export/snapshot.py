@@ -41,7 +41,7 @@ from condvln.export.report import CardPicture, ExportReport, WrittenFile
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS
 from condvln.export.staging import staged
-from condvln.export.tables import NavmeshBytes, Row, SceneTable, SnapshotTables, joined_by_scene
+from condvln.export.tables import FolderTables, NavmeshBytes, Row, SceneTable, joined_by_scene
 from condvln.export.tokens import Vocabulary
 from condvln.export.viewpoints import Graphs
 from condvln.export.vlnce import RXR_LANGUAGES
@@ -116,10 +116,6 @@ Complete = Callable[[Path, ExportReport], None]
 Pictures = Callable[[Path], Iterable[CardPicture]]
 """Called with the new folder after the manifests are written; returns the pictures of the dataset card."""
 
-Progress = Callable[[int, int], None]
-"""Called with the number of written episodes and of all episodes."""
-
-
 _TEXT_COLUMNS: Final = (
     "scene_id",
     "episode_id",
@@ -135,7 +131,7 @@ SplitCodes = dict[str, npt.NDArray[np.int8]]
 
 
 def export_snapshot(
-    tables: SnapshotTables,
+    tables: FolderTables,
     out: Path,
     splits: SplitsConfig | None = None,
     *,
@@ -143,9 +139,8 @@ def export_snapshot(
     oracle_text: OracleText | None = None,
     navmeshes: NavmeshBytes | None = None,
     graphs: Graphs | None = None,
-    former: SnapshotTables | None = None,
+    former: FolderTables | None = None,
     pictures: Pictures | None = None,
-    progress: Progress | None = None,
     complete: Complete | None = None,
 ) -> ExportReport:
     """Write all splits of a snapshot, one scene in memory at a time.
@@ -196,12 +191,9 @@ def export_snapshot(
             graphs=graphs,
             show=None if gate is None else gate.add,
         )
-        total = int(sum((codes != OUT).sum() for codes in splits_of.values()))
         with writer.open():
             for source, scene, chosen in _chosen(tables, splits_of):
                 writer.add_scene(source, scene, chosen)
-                if progress is not None:
-                    progress(sum(report.episodes.values()), total)
         if gate is not None:
             report.bias = gate.report()
         for picture in pictures(new) if pictures is not None else ():
@@ -226,7 +218,7 @@ def _json(document: Mapping[str, Any]) -> bytes:
 
 
 def _chosen(
-    tables: SnapshotTables, splits_of: SplitCodes, columns: Sequence[str] | None = None
+    tables: FolderTables, splits_of: SplitCodes, columns: Sequence[str] | None = None
 ) -> Iterator[tuple[str, str, list[tuple[int, Row, Row]]]]:
     """Yield (source, scene, episodes that are in a split) for each scene that has some; an episode as its split code,
     its row, with all columns unless `columns` is given, and the row of its instruction.
@@ -252,7 +244,7 @@ def _write(out: Path, path: str, data: bytes, report: ExportReport) -> None:
 
 
 def _formerly(
-    out: Path, exported: str, now: str, former: SnapshotTables | None, splits: SplitsConfig
+    out: Path, exported: str, now: str, former: FolderTables | None, splits: SplitsConfig
 ) -> tuple[PublishedEpisodes | None, Generated | None]:
     """Return the episodes that the replaced export published, and all episodes of the snapshot from which that export
     was made. Either is None if unknown or if there is no such export.
@@ -295,9 +287,7 @@ def _write_changelog(
             stream.write(text.encode())
 
 
-def _choose(
-    tables: SnapshotTables, splits: SplitsConfig, scenes: SceneTable
-) -> tuple[Selection, SplitCodes, Generated]:
+def _choose(tables: FolderTables, splits: SplitsConfig, scenes: SceneTable) -> tuple[Selection, SplitCodes, Generated]:
     builder = PoolBuilder(splits.max_tokens, statements=splits.statements == "even")
     counts: dict[str, int] = {}
     for source in tables.sources:
@@ -313,7 +303,7 @@ def _choose(
     return selection, splits_of, Generated.of(pool)
 
 
-def _texts(tables: SnapshotTables, splits_of: SplitCodes, oracle_text: OracleText | None) -> Iterator[str]:
+def _texts(tables: FolderTables, splits_of: SplitCodes, oracle_text: OracleText | None) -> Iterator[str]:
     """Yield all texts of all splits, including the oracle twins."""
     for _, _, chosen in _chosen(tables, splits_of, _TEXT_COLUMNS):
         for _, row, instruction in chosen:

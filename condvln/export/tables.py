@@ -1,5 +1,4 @@
-"""The tables that an export reads, from a published snapshot's folder or in memory, and their rows as plain Python
-values.
+"""The tables that an export reads, from a published snapshot's folder, and their rows as plain Python values.
 
 ``RecordBatch.to_pylist`` makes a dictionary of every point, and episodes have a hundred points each: here points are
 lists ``[x, y, z]``, made a column at a time.
@@ -9,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import heapq
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -27,11 +26,9 @@ __all__ = [
     "BATCH_ROWS",
     "FolderTables",
     "JoinedScene",
-    "MemoryTables",
     "NavmeshBytes",
     "Row",
     "SceneTable",
-    "SnapshotTables",
     "joined_by_scene",
     "rows_by_scene",
     "rows_of",
@@ -46,42 +43,6 @@ _BUFFER: Final = 1 << 14
 """Bytes of a column that are read at a time."""
 BATCH_ROWS: Final = 1024
 """Rows decoded at a time: enough to amortise Arrow's calls, few enough to keep memory low."""
-
-
-class SnapshotTables(Protocol):
-    """The tables of one snapshot, read source by source."""
-
-    @property
-    def id(self) -> str:
-        """Id of the snapshot."""
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """Families with rows, sorted."""
-
-    def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of one table of one source in ascending order of ``scene_id``; all columns unless `columns`
-        is given.
-        """
-
-
-@dataclass(frozen=True)
-class MemoryTables:
-    """Tables in memory: ``tables[source][name]``."""
-
-    id: str
-    tables: Mapping[str, Mapping[str, pa.Table]]
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """Families with rows, sorted."""
-        return tuple(sorted(self.tables))
-
-    def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of one table of one source, as :meth:`SnapshotTables.batches` requires."""
-        found = self.tables[source][table]
-        wanted = found if columns is None else found.select(list(columns))
-        yield from wanted.to_batches(max_chunksize=BATCH_ROWS)
 
 
 @dataclass(frozen=True)
@@ -102,7 +63,8 @@ class FolderTables:
         return tuple(sorted(p.name[len(prefix) :] for p in (self.folder / "episodes").glob(f"{prefix}*") if p.is_dir()))
 
     def batches(self, table: str, source: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of one table of one source, as :meth:`SnapshotTables.batches` requires.
+        """Yield the rows of one table of one source in ascending order of ``scene_id``; all columns unless `columns` is
+        given.
 
         Raises
         ------
@@ -208,7 +170,7 @@ JoinedScene = tuple[str, list[Row], dict[str, Row]]
 """The id of a scene, its episodes, and its instructions by id."""
 
 
-def joined_by_scene(tables: SnapshotTables, source: str, columns: Sequence[str] | None = None) -> Iterator[JoinedScene]:
+def joined_by_scene(tables: FolderTables, source: str, columns: Sequence[str] | None = None) -> Iterator[JoinedScene]:
     """Yield for each scene its id, its episodes (all columns unless `columns` is given) and its instructions by id.
     Only one scene at a time is in memory.
 
@@ -245,7 +207,7 @@ class SceneTable:
     navmeshes : returns built navmeshes, which are then written to the export; without it only their names are recorded
     """
 
-    def __init__(self, tables: SnapshotTables, navmeshes: NavmeshBytes | None) -> None:
+    def __init__(self, tables: FolderTables, navmeshes: NavmeshBytes | None) -> None:
         self._navmeshes = navmeshes
         self._rows = {
             source: {row["scene_id"]: row for batch in tables.batches("scenes", source) for row in rows_of(batch)}

@@ -35,7 +35,7 @@ from condvln.episodes.table import LOOKING_COLUMNS
 from condvln.export.contents import INDEX, document_digest
 from condvln.export.report import WrittenFile
 from condvln.export.splits import Split, scene_group
-from condvln.export.tables import Row, SnapshotTables, rows_of
+from condvln.export.tables import FolderTables, Row, rows_of
 from condvln.export.vlnce import encode, gold
 from condvln.formats.streams import ByteStream, JsonArrayStream, atomic_stream
 from condvln.instructions import names_compass, programs_from_table, with_preamble
@@ -149,7 +149,7 @@ class GraphEpisodes:
     left_out : counts by reason, filled while iterating
     """
 
-    tables: SnapshotTables
+    tables: FolderTables
     graphs: Graphs
     splits: SplitsConfig
     seed: int = 0

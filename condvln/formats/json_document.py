@@ -19,7 +19,6 @@ __all__ = [
     "MAX_DEPTH",
     "TOO_DEEP",
     "JsonNode",
-    "canonical_json",
     "nesting_depth",
     "parse_json",
     "parsed_value",
@@ -98,11 +97,6 @@ def parsed_value(
         except UnicodeEncodeError:
             refuse("a text has an unpaired surrogate")
     return value
-
-
-def canonical_json(value: Any) -> bytes:
-    """Return a value as canonical JSON bytes for hashing: sorted keys, no blanks, ASCII."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 
 def nesting_depth(value: Any) -> int:

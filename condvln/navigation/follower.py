@@ -119,11 +119,6 @@ class FollowedRoute:
         """Whether all goals were reached."""
         return self.outcome == "arrived"
 
-    @property
-    def forward_steps(self) -> int:
-        """Number of FORWARD actions."""
-        return len(self.locations) - 1
-
 
 class Length(NamedTuple):
     """The number of actions of a walk, the last STOP included, and its outcome as in `FollowedRoute`."""

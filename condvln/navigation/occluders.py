@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -23,23 +23,6 @@ _POINT = 100 * float(np.finfo(np.float64).resolution)
 
 # Number of rays cast at once: tens of megabytes of temporaries.
 _RAYS = 1 << 18
-
-
-class Occluders(Protocol):
-    """What blocks lines of sight."""
-
-    @property
-    def approximate(self) -> bool:
-        """Whether the occluders are boxes rather than the scene's surfaces. This is recorded with all results derived
-        from them.
-        """
-
-    def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Return a mask (k,) of the lines of sight that are blocked. ``eyes`` and ``points`` are the ends of these
-        lines, (k, 3) each, in metres.
-
-        ``own`` (k,) : the occluder that each point belongs to, -1 for none; used for boxes only.
-        """
 
 
 class MeshOccluders:
@@ -68,7 +51,9 @@ class MeshOccluders:
         self._caster = RayMeshIntersector(_Surface(points, corners))
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`."""
+        """Return a mask (k,) of the lines of sight that are blocked. ``eyes`` and ``points`` are the ends of these
+        lines, (k, 3) each, in metres.
+        """
         out = np.zeros(len(eyes), bool)
         for begin in range(0, len(eyes), _RAYS):
             part = slice(begin, begin + _RAYS)
@@ -173,8 +158,9 @@ class BoxOccluders:
             )
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`. ``own`` holds indices of boxes in
-        the order in which they were given.
+        """Return whether each line of sight is blocked; see :meth:`MeshOccluders.hidden`.
+
+        ``own`` (k,) : the box that each point belongs to, in the order in which they were given; -1 for none
         """
         mine = np.full(len(eyes), -1, np.int64) if own is None else np.require(own, np.int64, ["C", "W"])
         begin, end = (np.require(values, np.float64, ["C", "W"]) for values in (eyes, points))
@@ -193,8 +179,14 @@ class JoinedOccluders:
         self._mesh, self._boxes = mesh, boxes
 
     def hidden(self, eyes: Points, points: Points, own: npt.NDArray[np.int64] | None = None) -> Flags:
-        """Return whether each line of sight is blocked; see :meth:`Occluders.hidden`."""
+        """Return a mask (k,) of the lines of sight that are blocked. ``eyes`` and ``points`` are the ends of these
+        lines, (k, 3) each, in metres.
+        """
         out = self._boxes.hidden(eyes, points, own)  # boxes first: they are faster
         left = np.flatnonzero(~out)
         out[left] = self._mesh.hidden(eyes[left], points[left])
         return out
+
+
+Occluders: TypeAlias = MeshOccluders | BoxOccluders | JoinedOccluders
+"""What blocks lines of sight; ``approximate`` says whether it is boxes rather than the scene's surfaces."""

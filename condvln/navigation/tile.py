@@ -199,6 +199,10 @@ class NavMeshTile:
         """
         return self.header["bmin"].astype(np.float32), self.header["bmax"].astype(np.float32)
 
+    def outlines(self) -> list[npt.NDArray[Any]]:
+        """Return the corners (k, 3) of each polygon, in metres."""
+        return [self.verts[poly["verts"][: poly["vert_count"]]] for poly in self.polys]
+
     @property
     def poly_verts(self) -> Ints:
         """(p, 6) int32 vertex index of each polygon corner; 0 beyond ``vert_count``."""

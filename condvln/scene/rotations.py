@@ -5,6 +5,7 @@ metres, right-handed, +Y up, −Z north.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ __all__ = [
     "asset_frame",
     "from_matrix",
     "from_wxyz",
+    "heading_of",
     "rotation_rpy",
     "rotation_x",
     "rotation_y",
@@ -115,6 +117,11 @@ def stored_matrix(xyzw: tuple[float, float, float, float]) -> F64:
 
 def _rounded(q: F64) -> F64:
     return np.asarray(np.round(q, QUATERNION_DECIMALS) + 0.0, dtype=np.float64)
+
+
+def heading_of(xyzw: Sequence[float] | F64) -> float:
+    """Return the heading in radians, counter-clockwise from −z, of a rotation ``[x, y, z, w]`` about +y."""
+    return 2.0 * math.atan2(xyzw[1], xyzw[3]) % (2.0 * math.pi)
 
 
 def rotation_x(angle: float) -> F64:

@@ -104,7 +104,7 @@ class Mp3dSource(ScanSource):
             ledger.record(f"{GRAPHS}/{graph.name}", DatasetRoot(graph.parent).read(graph.name, MAX_GRAPH_BYTES))
 
     def connectivity(self, scene_id: str) -> Path | None:
-        """See `SceneSource.connectivity`. Also None if the scan has a mesh or a navmesh."""
+        """See `Source.connectivity`. Also None if the scan has a mesh or a navmesh."""
         path = self.scans().get(scene_id)
         if path is None:
             return None

@@ -33,7 +33,7 @@ from condvln.sources.procthor_house import FILE_NAMES, Asset, AssetDatabase, Hou
 from condvln.sources.procthor_solids import counter_parts, house_structure
 from condvln.sources.regions import check_polygon, in_rooms
 from condvln.sources.replicacad import Assembly, ReplicaCadSource
-from condvln.sources.scene_source import Note, SceneChoice, SceneSource, SourceOptions
+from condvln.sources.scene_source import Note, SceneChoice, Source, SourceOptions
 from condvln.sources.solids import joined, object_boxes
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from schemas.errors import ConfigError, FormatError, InputError, MissingFileError
@@ -59,7 +59,7 @@ class ProcthorHabitatSource(ReplicaCadSource):
         self._houses = ProcthorSource(houses, replace(options, choice=SceneChoice(), navmesh=None, regions=None))
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
+        """See `Source.listing`."""
         for scene_id, note in super().listing():
             if _NAME.match(scene_id):
                 yield scene_id, partial(self._note, scene_id, note)
@@ -123,7 +123,7 @@ _LINE_KEYS: Final = (*_HOUSE_KEYS, b'"doors"', b'"windows"', _GENERATED)
 """Keys of which any one makes a line a house, so that a damaged line still counts as a house."""
 
 
-class ProcthorSource(SceneSource):
+class ProcthorSource(Source):
     """Houses in the files of a folder and of its direct subfolders.
 
     Ids are ``<file>-<line, from 0>`` for files with one house per line, ``<file>-<entry, from 0>`` for files that are a
@@ -147,7 +147,7 @@ class ProcthorSource(SceneSource):
             )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`. If a JSON Lines file can't be read to its end, the listing has a fault whose id is
+        """See `Source.listing`. If a JSON Lines file can't be read to its end, the listing has a fault whose id is
         the file's name.
 
         Raises

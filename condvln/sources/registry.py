@@ -12,15 +12,15 @@ from condvln.sources.hm3d import Hm3dSource
 from condvln.sources.mp3d import Mp3dSource
 from condvln.sources.procthor import ProcthorHabitatSource, ProcthorSource
 from condvln.sources.replicacad import HssdSource, ReplicaCadSource
-from condvln.sources.scene_source import Absence, SceneChoice, SceneSource, SourceOptions
-from condvln.sources.source import HashFile, Source, hash_file
+from condvln.sources.scene_source import Absence, SceneChoice, Source, SourceOptions
+from condvln.sources.source import HashFile, hash_file
 from condvln.sources.thor import IthorSource, RobothorSource
 from schemas.config import LimitsConfig
 from schemas.errors import ConfigError
 
 __all__ = ["READERS", "open_source"]
 
-READERS: Final[dict[str, type[SceneSource]]] = {
+READERS: Final[dict[str, type[Source]]] = {
     "gibson": GibsonSource,
     "hm3d": Hm3dSource,
     "hssd": HssdSource,

@@ -26,7 +26,7 @@ from condvln.scene.scene import SceneGeometry
 from condvln.sources.regions import in_rooms, read_regions
 from condvln.sources.scene_dataset import Lexicon, SceneDataset, Template, read_descriptors
 from condvln.sources.scene_instance import Body, BodyReader, Placed, SceneInstance, read_scene_instance
-from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.scene_source import Note, Source, SourceOptions
 from condvln.sources.solids import assembled_geometry
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 
@@ -58,7 +58,7 @@ class Assembly:
     warnings: list[SceneWarning]
 
 
-class ReplicaCadSource(SceneSource):
+class ReplicaCadSource(Source):
     """The scenes of a Habitat scene dataset; raises ConfigError for any other folder."""
 
     family: ClassVar[str] = "replicacad"
@@ -69,7 +69,7 @@ class ReplicaCadSource(SceneSource):
         SceneDataset(self.files)
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
+        """See `Source.listing`."""
         dataset = SceneDataset(self.files)
         self.noted(dataset.listing)
         for scene_id, path in dataset.scenes().items():

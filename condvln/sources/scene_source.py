@@ -31,7 +31,7 @@ __all__ = [
     "Note",
     "ScanSource",
     "SceneChoice",
-    "SceneSource",
+    "Source",
     "SourceOptions",
 ]
 
@@ -105,10 +105,13 @@ class SourceOptions:
     connectivity: Path | None = None
 
 
-class SceneSource(ABC):
+class Source(ABC):
     """A dataset of one family on disk."""
 
     family: ClassVar[str]
+    """Name of the family, which is also the ``source=`` partition of its tables. Paths in its scenes are relative to
+    `root`.
+    """
     bytes_per_object: ClassVar[float] = 1000.0
     """Approximate bytes of annotation per object, used if the listing counts no objects. Measured on real scenes."""
     objects_per_room: ClassVar[float] = math.inf
@@ -145,8 +148,13 @@ class SceneSource(ABC):
         """Return one scene as in its files, before limits are checked and containment is derived from boxes."""
 
     def read(self, scene_id: str) -> Scene:
-        """Return one scene; see `Source.read`. With ``absence: never``, conditions may be about every room, and no room
-        counts as completely annotated.
+        """Return one scene in Habitat's frame. A valid scene without objects is returned, too. With ``absence: never``,
+        conditions may be about every room, and no room counts as completely annotated.
+
+        Raises
+        ------
+        InputError : the scene can't be read; the message says which file, where in it, and what to do
+        LimitError : the scene exceeds the limits with which the source was opened
         """
         scene = self.scene(scene_id)
         # The following steps cost more than linear time, so the limits are checked first.
@@ -157,8 +165,12 @@ class SceneSource(ABC):
         return replace(scene, rooms=tuple(replace(room, complete=False, asked=True) for room in scene.rooms))
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the surfaces of a scene; see `Source.geometry`. This default, for families whose files describe no
-        surfaces, returns None.
+        """Return the surfaces of a scene from `read`; None if the dataset on disk has neither meshes nor walls, as by
+        default.
+
+        Raises
+        ------
+        InputError : as for `read`
         """
         return None
 
@@ -167,11 +179,14 @@ class SceneSource(ABC):
         return None
 
     def handles(self) -> list[SceneHandle]:
-        """Return the selected scenes; see `Source.handles`."""
+        """Return the selected scenes, sorted by id. No geometry is read. The handle of a scene that can't be listed has
+        the reason as its fault.
+        """
         return sorted(self.each_handle(), key=lambda h: h.scene_id)
 
     def each_handle(self) -> Iterator[SceneHandle]:
-        """Yield the selected scenes; see `Source.each_handle`.
+        """Yield what `handles` returns, one by one and in any order: a list of a million takes gigabytes. That no scene
+        can be listed is found, and `passed_over` is known, only at the end.
 
         Raises
         ------
@@ -241,7 +256,9 @@ class SceneSource(ABC):
         yield from (replace(handle, fault=fault) for handle in handles)
 
     def passed_over(self) -> list[tuple[str, str]]:
-        """Return (path, reason) of everything that the last listing skipped; see `Source.passed_over`."""
+        """Return (path, reason) of everything that the last listing (`handles`, `each_handle`) skipped, sorted. No
+        scene that should have been listed is among the skipped files.
+        """
         return sorted(self._passed_over.items())
 
     def matching(self, *patterns: str) -> list[str]:
@@ -370,7 +387,7 @@ class SceneSource(ABC):
         return SceneCounts(round(objects, 1), round(max(rooms, 1.0), 1), navmesh, meshes)
 
 
-class ScanSource(SceneSource):
+class ScanSource(Source):
     """A family of scans: each is one file, with a mesh and a navmesh beside it."""
 
     nothing: ClassVar[tuple[str, str]]
@@ -391,7 +408,7 @@ class ScanSource(SceneSource):
         """Note what a scan is read from."""
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
+        """See `Source.listing`."""
         for scene_id, path in self.scans().items():
             yield scene_id, partial(self.note, scene_id, path)
 

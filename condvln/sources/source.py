@@ -1,18 +1,16 @@
-"""The interface of all source families: list the scenes with their inputs, which is cheap, and read single scenes."""
+"""What all source families name a scene by: its handle, its input files and their hashes, and what it counted."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from condvln.formats.dataset_root import DatasetRoot
-from condvln.formats.json_document import canonical_json
 from condvln.formats.regular_file import open_regular, refuse_pointer
-from condvln.scene import Scene
-from condvln.scene.scene import SceneGeometry
+from schemas.canonical import canonical_json
 from schemas.errors import InputError, MissingFileError
 
 __all__ = [
@@ -23,7 +21,6 @@ __all__ = [
     "SceneCounts",
     "SceneHandle",
     "SceneInput",
-    "Source",
     "hash_file",
 ]
 
@@ -84,65 +81,6 @@ class SceneHandle:
     inputs: tuple[SceneInput, ...]
     counts: SceneCounts
     fault: InputError | None = None
-
-
-class Source(Protocol):
-    """A dataset on disk."""
-
-    @property
-    def family(self) -> str:
-        """Name of the dataset family, which is also the ``source=`` partition of the dataset's tables."""
-        ...
-
-    @property
-    def root(self) -> Path:
-        """Folder to which all paths in this dataset's scenes are relative."""
-        ...
-
-    def handles(self) -> list[SceneHandle]:
-        """Return the selected scenes, sorted by id. No geometry is read. The handle of a scene that can't be listed has
-        the reason as its fault.
-        """
-        ...
-
-    def each_handle(self) -> Iterator[SceneHandle]:
-        """Yield what `handles` returns, one by one and in any order: a list of a million takes gigabytes. That no scene
-        can be listed is found, and `passed_over` is known, only at the end.
-        """
-        ...
-
-    def scene_ids(self) -> list[str]:
-        """Return the ids of the scenes that can be listed, sorted."""
-        ...
-
-    def passed_over(self) -> list[tuple[str, str]]:
-        """Return (path, reason) of everything that the last listing (`handles`, `each_handle`) skipped, sorted. No
-        scene that should have been listed is among the skipped files.
-        """
-        ...
-
-    def read(self, scene_id: str) -> Scene:
-        """Return one scene in Habitat's frame. A valid scene without objects is returned, too.
-
-        Raises
-        ------
-        InputError : the scene can't be read; the message says which file, where in it, and what to do
-        LimitError : the scene exceeds the limits with which the source was opened
-        """
-        ...
-
-    def geometry(self, scene: Scene) -> SceneGeometry | None:
-        """Return the surfaces of a scene from `read`; None if the dataset on disk has neither meshes nor walls.
-
-        Raises
-        ------
-        InputError : as for `read`
-        """
-        ...
-
-    def connectivity(self, scene_id: str) -> Path | None:
-        """Return the file of a scene's viewpoint graph; None if there is no such file, or the scene has a mesh."""
-        ...
 
 
 def hash_file(path: Path) -> tuple[int, str]:

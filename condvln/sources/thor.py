@@ -20,7 +20,7 @@ from condvln.labels import vocabulary
 from condvln.scene import Room, Scene, SceneWarning
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.regions import in_rooms
-from condvln.sources.scene_source import Note, SceneSource, SourceOptions
+from condvln.sources.scene_source import Note, Source, SourceOptions
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects, scene_name, thor_geometry
 from schemas.errors import ConfigError, InputError
@@ -41,7 +41,7 @@ reported.
 """
 
 
-class ThorSceneSource(SceneSource):
+class ThorSceneSource(Source):
     """Files ``<scene>.json`` of a folder and its direct subfolders, each with the controller metadata of one scene.
 
     The floor is at height 0 (the simulator's agent stands there). Rooms come from a side file if given; otherwise the
@@ -67,7 +67,7 @@ class ThorSceneSource(SceneSource):
         """Return the raw label of the scene's one room, from the scene's name."""
 
     def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `SceneSource.listing`."""
+        """See `Source.listing`."""
         for scene_id, path in self._scenes().items():
             yield scene_id, partial(self._note, scene_id, path)
 

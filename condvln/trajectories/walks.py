@@ -7,9 +7,8 @@ those of its actions bit for bit. At each frame the right action is known, also 
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, ActionSpace, FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
+from condvln.scene.rotations import heading_of
 from condvln.seeding import Draws, generator
 from schemas.config import TrajectoryConfig, WalkKind
 from schemas.episode import EpisodeLeaf
@@ -99,11 +99,6 @@ class _Route:
         later = self.walk.arrivals >= place
         later[-1] = True
         return self.stops[later]
-
-
-def heading_of(rotation: Sequence[float]) -> float:
-    """Return the heading in radians, counter-clockwise from −z, of a rotation [x, y, z, w] about +y."""
-    return 2.0 * math.atan2(rotation[1], rotation[3]) % (2.0 * math.pi)
 
 
 def folder_name(episode: ManifestEpisode, kind: WalkKind = "looking", number: int = 0) -> str:

@@ -19,7 +19,7 @@ from condvln.relations import RoomRelations, TextFacts, text_facts
 from condvln.scene import Scene
 from condvln.scene.tables import scene_from_tables
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from factory.stage import Unit
 from schemas.canonical import JSON
 from schemas.config import (

@@ -22,13 +22,13 @@ from condvln.evaluation.evaluate import evaluate as evaluate_tasks
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.split import SplitOptions, open_export, split_tasks
 from condvln.evaluation.walker import Observation, walk
-from condvln.explorer.site import chunk_content
 from condvln.navigation.points import densify
 from jobs.command import app
 from jobs.evaluate import Question, evaluate_predictions
 from jobs.report import PIPE_WIDTH, Report
 from schemas.config import Config
 from schemas.errors import FormatError, MissingFileError, UsageError
+from tests.site_chunks import chunk_content
 from tests.strict_loader import read
 
 runner = CliRunner()

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from condvln.explorer.site import chunk_content
 from condvln.export.tables import FolderTables
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.sources.family import FAMILIES
@@ -26,6 +25,7 @@ from jobs.workspace import published, snapshot_folder
 from schemas.config import Config, InstructionsConfig
 from schemas.errors import UsageError
 from tests.jobs.conftest import configuration
+from tests.site_chunks import chunk_content
 
 
 def chunks(page: Path) -> dict[str, Any]:
@@ -162,16 +162,14 @@ def test_two_snapshots_are_compared(made_run: tuple[Config, Report], made_datase
 def test_the_card_shows_a_plan_of_each_source(export: Path) -> None:
     record = json.loads((export / "export.json").read_text())
     (picture,) = (export / "pictures").iterdir()
-    assert picture.name == "replicacad.svg"
+    assert picture.name == "replicacad.png"
     data = picture.read_bytes()
-    assert len(data) < 100_000
-    assert hashlib.sha256(data).hexdigest() == record["files"]["pictures/replicacad.svg"]["sha256"]
+    assert len(data) < 500_000
+    assert data.startswith(b"\x89PNG")
+    assert hashlib.sha256(data).hexdigest() == record["files"]["pictures/replicacad.png"]["sha256"]
     card = (export / "README.md").read_text()
-    assert "(pictures/replicacad.svg)" in card
-    assert record["pictures"]["pictures/replicacad.svg"] in card
-    rows = [line.fields() for path in manifest_paths(export) for line in manifest_lines(path)]
-    most = max(len(row["leaves"]) for row in rows)
-    assert data.count(b"<polyline") == most + 1, "the ways to all leaves, and the looking path"
+    assert "(pictures/replicacad.png)" in card
+    assert record["pictures"]["pictures/replicacad.png"] in card
 
 
 def test_licensed_scenes_have_no_picture(monkeypatch: pytest.MonkeyPatch, asked: Exploration, export: Path) -> None:
@@ -181,7 +179,7 @@ def test_licensed_scenes_have_no_picture(monkeypatch: pytest.MonkeyPatch, asked:
     tables = FolderTables(snapshot_folder(asked.config.store, snapshot))
     assert [*card_pictures(tables, lambda *_: None, export)] == []
     monkeypatch.undo()
-    assert [one.path for one in card_pictures(tables, lambda *_: None, export)] == ["pictures/replicacad.svg"]
+    assert [one.path for one in card_pictures(tables, lambda *_: None, export)] == ["pictures/replicacad.png"]
 
 
 def test_faults_leave_no_page(asked: Exploration, export: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 import pytest
 
 from condvln.evaluation.split import SplitOptions, evaluate_split
-from condvln.export.tables import FolderTables, MemoryTables
+from condvln.export.tables import FolderTables
 from condvln.export.viewpoints import FOLDER, GraphEpisodes, write_viewpoints
 from condvln.navigation.graph_pathfinder import GraphFolder, read_connectivity
 from condvln.sources.registry import open_source
@@ -22,6 +22,7 @@ from schemas.base import SCHEMA_VERSION
 from schemas.config import Config, SplitsConfig
 from schemas.errors import MissingFileError
 from schemas.evaluation import ManifestEpisode
+from tests.made_snapshot import MemoryTables
 
 
 @pytest.fixture(scope="module")

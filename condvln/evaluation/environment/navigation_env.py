@@ -21,8 +21,9 @@ from condvln.evaluation.score import ScoreRules, score
 from condvln.evaluation.split import Export, open_export
 from condvln.evaluation.task import Task
 from condvln.evaluation.walker import SteppedEpisode
+from condvln.scene.rotations import heading_of
 from condvln.sensors import PRESETS, TextSensor, cameras_of, noisy_pose
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import CameraConfig, NoiseConfig
 from schemas.errors import UsageError
 
@@ -253,7 +254,7 @@ def _image_space(name: str, camera: CameraConfig) -> spaces.Box:
 
 def _pose(task: Task, position: NDArray[np.float64], heading: float) -> Observation:
     """Return ``gps`` and ``compass`` in the frame of the start pose."""
-    first = 2 * math.atan2(task.start_rotation[1], task.start_rotation[3])
+    first = heading_of(task.start_rotation)
     east, south = (position - task.start)[[0, 2]]
     ahead = -math.sin(first) * east - math.cos(first) * south
     right = math.cos(first) * east - math.sin(first) * south

@@ -22,7 +22,7 @@ from condvln.evaluation.task import Task
 from condvln.evaluation.walker import SteppedEpisode
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE
 from condvln.sensors import KnownMap, TextObservation, TextSensor
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import NoiseConfig
 from schemas.errors import UsageError
 

@@ -78,7 +78,7 @@ class Ground:
     @property
     def edge(self) -> Bools:
         """Mask (n, m) of the passable cells next to unseen ones, in gaps however narrow."""
-        return self.passable & _beside(self.unseen)
+        return np.asarray(self.passable & ndimage.binary_dilation(self.unseen))
 
     def places(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> F64:
         """Return the centres (k, 2) of cells, x and z in metres."""
@@ -243,7 +243,7 @@ class FloorMap:
         passable = seen & (clearance >= CELL)
         cost = np.where(passable, np.where(clearance >= WIDE, 1.0, np.where(clearance >= CLEARANCE, 1.5, 6.0)), np.inf)
         unseen = ~seen
-        frontier = passable & _beside(unseen) & (clearance >= CLEARANCE)
+        frontier = passable & ndimage.binary_dilation(unseen) & (clearance >= CLEARANCE)
         borders, count = ndimage.label(frontier, np.ones((3, 3)))
         if count:
             sizes = np.bincount(borders.ravel())
@@ -321,16 +321,6 @@ def open_areas(
         going &= ~shut[i, j]
         found += 2 * np.pi * away / rays * (going & wanted[i, j]).sum(axis=1)
     return found
-
-
-def _beside(mask: Bools) -> Bools:
-    """Return the cells next to those of a mask (n, m), across one of their four edges."""
-    beside = np.zeros_like(mask)
-    beside[1:] |= mask[:-1]
-    beside[:-1] |= mask[1:]
-    beside[:, 1:] |= mask[:, :-1]
-    beside[:, :-1] |= mask[:, 1:]
-    return beside
 
 
 def _floor_below(look: Look, before: float) -> float:

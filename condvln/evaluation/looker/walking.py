@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from condvln.evaluation.looker.eyes import Eyes
 from condvln.evaluation.looker.looker import Looker
 from condvln.evaluation.predictions import Prediction
-from condvln.evaluation.scene_views import SeenScene
+from condvln.evaluation.scene_views import View
 from condvln.evaluation.task import Task
 from condvln.evaluation.walker import SteppedEpisode, heading_of
 from condvln.navigation.pathfinder import Pathfinder
@@ -45,7 +45,7 @@ class LookingAgent:
     views : the opened scenes of the episodes
     """
 
-    def __init__(self, views: Callable[[str], SeenScene], config: LookerConfig | None = None) -> None:
+    def __init__(self, views: Callable[[str], View], config: LookerConfig | None = None) -> None:
         self._config = config or LookerConfig()
         self._eyes = lru_cache(maxsize=2)(self._open)
         self._views = views

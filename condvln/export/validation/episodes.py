@@ -17,13 +17,13 @@ import numpy as np
 
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
 from condvln.export.validation.findings import LintReport, check_keys, is_number, is_point, points, straight
-from condvln.navigation.protocol import PathfinderProtocol
+from condvln.navigation.pathfinder import Pathfinder
 
 __all__ = ["Document", "Kind", "PathfinderOf", "check_document"]
 
 Kind = Literal["vlnce", "ansr", "rxr", "r2r"]
 
-PathfinderOf = Callable[[dict[str, Any]], PathfinderProtocol | None]
+PathfinderOf = Callable[[dict[str, Any]], Pathfinder | None]
 """Returns the navmesh of an episode's scene; None if unknown."""
 
 

@@ -23,7 +23,7 @@ from condvln.samples import make_samples
 from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.scene import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import FLOOR_LIFT, FLOOR_POINTS, PREFIX_STRAY
 from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef

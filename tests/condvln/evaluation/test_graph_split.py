@@ -19,10 +19,9 @@ from condvln.evaluation.split import SplitOptions, evaluate_split
 from condvln.evaluation.tables import all_tables
 from condvln.evaluation.task import Task
 from condvln.export.snapshot import export_snapshot
-from condvln.export.tables import MemoryTables
 from condvln.navigation.graph_pathfinder import GraphFolder
 from schemas.errors import FormatError, MissingFileError, UsageError
-from tests.made_snapshot import made_snapshot
+from tests.made_snapshot import MemoryTables, made_snapshot
 
 SCAN = "17DRP5sb8fy"  # of the official training list
 SIDE = 7

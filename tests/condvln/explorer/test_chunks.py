@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.explorer.site import chunk_bytes, chunk_content
+from condvln.explorer.site import chunk_bytes
+from tests.site_chunks import chunk_content
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]))
 PLAIN = (

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from condvln.explorer import Site, episode_document
-from condvln.explorer.site import EPISODES_A_CHUNK, NAMED, PARTS, chunk_content
+from condvln.explorer.site import EPISODES_A_CHUNK, NAMED, PARTS
 from schemas.errors import UsageError
 from tests.condvln.explorer.made_rows import made_manifest, no_rooms
+from tests.site_chunks import chunk_content
 
 
 def write(out: Path, rows: list[dict[str, Any]]) -> Path:

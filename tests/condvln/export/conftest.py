@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from condvln.export.snapshot import export_snapshot
-from condvln.export.tables import MemoryTables
-from tests.made_snapshot import made_snapshot
+from tests.made_snapshot import MemoryTables, made_snapshot
 
 
 def linear_text(episode: dict, instruction: dict) -> str:

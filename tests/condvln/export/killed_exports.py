@@ -19,9 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 
 from condvln.export import staging
 from condvln.export.snapshot import export_snapshot
-from condvln.export.tables import MemoryTables
 from schemas.config import SplitsConfig
-from tests.made_snapshot import made_snapshot
+from tests.made_snapshot import MemoryTables, made_snapshot
 
 CHANGES = {"os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.link", "os.symlink", "os.chmod", "shutil.rmtree"}
 CONFIG = SplitsConfig(bias="off")

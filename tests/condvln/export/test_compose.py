@@ -28,7 +28,7 @@ from condvln.samples.maker import make_layouts, make_samples, write_replicacad
 from condvln.scene import Scene
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.config import AgentConfig
 from schemas.errors import FormatError
 from tests.broken_bytes import broken

@@ -20,8 +20,7 @@ from condvln.export.contents import CHANGELOG
 from condvln.export.report import ExportReport
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS, route_class, words_class
-from condvln.export.tables import MemoryTables
-from tests.made_snapshot import made_snapshot
+from tests.made_snapshot import MemoryTables, made_snapshot
 from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split, read
 
 LINK = "data/datasets/condvln"

@@ -17,10 +17,10 @@ from condvln.evaluation.split import split_tasks
 from condvln.evaluation.task import Task
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
-from condvln.export.tables import MemoryTables
 from condvln.manifest import manifest_lines, read_manifest
 from schemas.errors import FormatError
 from tests.condvln.evaluation.conftest import OpenPlain
+from tests.made_snapshot import MemoryTables
 from tests.strict_loader import read
 
 LIMIT = 2**53

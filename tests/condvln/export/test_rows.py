@@ -8,7 +8,8 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from condvln.export.tables import MemoryTables, rows_of
+from condvln.export.tables import rows_of
+from tests.made_snapshot import MemoryTables
 
 
 def with_lists(value: Any) -> Any:

@@ -11,10 +11,9 @@ from condvln.export import selection
 from condvln.export.pool import INSTRUCTION_COLUMNS, POOL_COLUMNS, ExportPool, PoolBuilder
 from condvln.export.selection import OUT, Selection, select
 from condvln.export.splits import SPLITS
-from condvln.export.tables import MemoryTables
 from schemas.config import SplitsConfig
 from schemas.program import CATEGORIES, SHAPES
-from tests.made_snapshot import made_snapshot
+from tests.made_snapshot import MemoryTables, made_snapshot
 
 SCENES = {
     "replicacad": [*(f"v3_sc0_staging_{i:02d}" for i in range(4)), "v3_sc1_staging_00", "apt_0"],

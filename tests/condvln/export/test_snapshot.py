@@ -13,7 +13,7 @@ import pytest
 
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
-from condvln.export.tables import FolderTables, MemoryTables, rows_of
+from condvln.export.tables import FolderTables, rows_of
 from condvln.export.tokens import tokenize
 from condvln.formats import streams
 from schemas.config import SplitsConfig
@@ -22,7 +22,7 @@ from schemas.evaluation import ManifestEpisode
 from schemas.tables import EPISODES, INSTRUCTIONS, SCENES
 from schemas.vlnce import GroundTruth, VlnCeDocument
 from tests.condvln.export.conftest import linear_text
-from tests.made_snapshot import made_rows, made_scene, made_snapshot
+from tests.made_snapshot import MemoryTables, made_rows, made_scene, made_snapshot
 from tests.strict_loader import AnsrEpisode, Episode, load_split, read
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from condvln.export.validation import Options, validate
-from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.polygon_tile import tile_of_polygons
 from tests.condvln.export.findings import codes, write
+from tests.condvln.viewpoint_graphs import graph_of
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_against_the_navmesh(tmp_path: Path, change: dict[str, Any], code: str |
     ],
 )
 def test_r2r_items(tmp_path: Path, change: dict[str, Any], code: str | None) -> None:
-    graph = GraphPathfinder.from_edges([[0, 0, 0], [2, 0, 0], [4, 0, 0]], [(0, 1), (1, 2)])
+    graph = graph_of([[0, 0, 0], [2, 0, 0], [4, 0, 0]], [(0, 1), (1, 2)])
     item = {
         "scan": "s",
         "path_id": 1,

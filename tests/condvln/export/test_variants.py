@@ -12,16 +12,16 @@ import pyarrow as pa
 import pytest
 
 from condvln.episodes.identity import numeric_id
-from condvln.evaluation.discrete import GraphDistances, evaluate_graph, read_graph_episodes
+from condvln.evaluation.discrete import evaluate_graph, read_graph_episodes
 from condvln.evaluation.predictions import GraphPrediction
 from condvln.export.snapshot import export_snapshot
 from condvln.export.splits import SPLITS
-from condvln.export.tables import MemoryTables
 from condvln.export.viewpoints import r2r_episode
 from condvln.navigation.graph_pathfinder import GraphPathfinder, read_connectivity
 from schemas.config import SplitsConfig
 from tests.condvln.export.conftest import linear_text
-from tests.made_snapshot import made_snapshot
+from tests.condvln.viewpoint_graphs import graph_of
+from tests.made_snapshot import MemoryTables, made_snapshot
 from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split, read
 
 
@@ -91,7 +91,7 @@ def ring() -> GraphPathfinder:
     """Eight viewpoints on a circle of 4 m radius, joined to their neighbours."""
     angles = np.arange(8) * np.pi / 4
     places = np.stack([4 * np.sin(angles), np.zeros(8), -4 * np.cos(angles)], axis=1)
-    return GraphPathfinder.from_edges(places, [(i, (i + 1) % 8) for i in range(8)])
+    return graph_of(places, [(i, (i + 1) % 8) for i in range(8)])
 
 
 def at(index: int) -> list[float]:
@@ -137,7 +137,7 @@ def test_r2r_path_runs_through_the_subgoals_along_edges() -> None:
 )
 def test_what_means_nothing_on_the_graph_is_told(case: dict[str, Any], reason: str) -> None:
     assert reason in str(r2r_episode(case, ring()))
-    islands = GraphPathfinder.from_edges([[0, 0, 0], [4, 0, 0], [20, 0, 0], [24, 0, 0]], [(0, 1), (2, 3)])
+    islands = graph_of([[0, 0, 0], [4, 0, 0], [20, 0, 0], [24, 0, 0]], [(0, 1), (2, 3)])
     lost = row(0, [1], 2)
     lost["start_position"] = [0, 0, 0]
     lost["leaves"][0]["goals"], lost["leaves"][1]["goals"] = [[24, 0, 0]], [[4, 0, 0]]
@@ -157,7 +157,7 @@ def test_leaves_that_r2r_would_not_tell_apart_are_left_out(
     start: int, leaves: tuple[int, int], reason: str | None
 ) -> None:
     # 2 m from each viewpoint to the next: two steps are 4 m, one is inside of R2R's 3 m
-    line = GraphPathfinder.from_edges([[2.0 * i, 0, 0] for i in range(5)], [(i, i + 1) for i in range(4)])
+    line = graph_of([[2.0 * i, 0, 0] for i in range(5)], [(i, i + 1) for i in range(4)])
     case = row(0, [1], 2)
     case["start_position"] = [2.0 * start, 0, 0]
     for leaf, place in zip(case["leaves"], leaves, strict=True):
@@ -216,7 +216,7 @@ def test_r2r_export_on_a_real_graph(scan: tuple[str, Path], tmp_path: Path) -> N
         asked = [f"{path:d}_{number}" for path in paths for number in range(3)]
         assert [item.instruction_id for item in items] == asked
         perfect = [GraphPrediction(item.instruction_id, item.path) for item in items]
-        for score in evaluate_graph(items, perfect, {name: GraphDistances(known)}).values():
+        for score in evaluate_graph(items, perfect, {name: GraphPathfinder(known)}).values():
             assert (score.success, score.ndtw) == (1, 1)
     assert count == report.r2r_episodes
 

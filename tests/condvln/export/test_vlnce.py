@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from condvln.export.tables import MemoryTables, rows_of
+from condvln.export.tables import rows_of
 from condvln.export.vlnce import ground_truth, scene_file
 from schemas.vlnce import GroundTruth, VlnCeDocument
+from tests.made_snapshot import MemoryTables
 from tests.strict_loader import load_split, read
 
 

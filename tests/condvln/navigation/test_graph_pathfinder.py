@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.navigation.graph_pathfinder import GraphPathfinder, read_connectivity
-from condvln.navigation.protocol import PathfinderProtocol
 from schemas.errors import FormatError, InputError, MissingFileError, UsageError
+from tests.condvln.viewpoint_graphs import graph_of
 
 
 def viewpoint(name: str, x: float, y: float, z: float, joined: list[bool], included: bool = True) -> dict[str, Any]:
@@ -53,9 +53,7 @@ def test_frame_edges_and_lengths(scan: list[dict[str, Any]], tmp_path: Path) -> 
     paths = GraphPathfinder.load(written(tmp_path, scan))
     assert paths.graph.ids == ("a", "b", "c", "e")
     np.testing.assert_array_equal(paths.position("c"), np.float32([3, 0, -4]))
-    path = paths.find_path([0, 0, 0], [3, 0, -4])
-    assert path.geodesic_distance == 7.0
-    np.testing.assert_array_equal(path.points, np.float32([[0, 0, 0], [3, 0, 0], [3, 0, -4]]))
+    assert paths.viewpoint_distance("a", "c") == 7.0
     assert paths.viewpoint_path("c", "a") == ["c", "b", "a"]
     assert paths.path_length(["c", "b", "a"]) == 7.0
     with pytest.raises(InputError, match="not connected"):
@@ -64,28 +62,12 @@ def test_frame_edges_and_lengths(scan: list[dict[str, Any]], tmp_path: Path) -> 
         paths.position("d")
 
 
-def test_points_and_islands(scan: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_points_and_places_without_a_way(scan: list[dict[str, Any]], tmp_path: Path) -> None:
     paths = GraphPathfinder.load(written(tmp_path, scan))
-    assert isinstance(paths, PathfinderProtocol)
-    assert paths.num_islands == 2
     assert paths.viewpoint([0.4, 0.1, 0.3]) == "a"
-    assert paths.viewpoint([20, 0, 0]) is None
-    assert np.isnan(paths.snap_point([20, 0, 0])).all()
-    assert np.isnan(paths.snap_point([np.nan, 0, 0])).all()
-    assert paths.get_islands([[0, 0, 0], [50, 0, 0], [20, 0, 0]]).tolist() == [0, 1, -1]
-    assert not paths.find_path([0, 0, 0], [50, 0, 0]).found
-    assert paths.geodesic_distance([0, 0, 0], [20, 0, 0]) == float("inf")
-    multi = paths.find_multi_goal_path([0, 0, 0], [[50, 0, 0], [3, 0, -4], [3, 0, 0], [20, 0, 0]])
-    assert (multi.geodesic_distance, multi.closest_goal) == (3.0, 2)
-    assert paths.is_navigable([3, 0.2, 0.005])
-    assert not paths.is_navigable([3, 0, 0.02])
-    assert paths.island_radius(1) == 0.0
-    assert paths.island_radius([0, 0, 0]) == pytest.approx(np.hypot(1, 8 / 3))
-    assert paths.navigable_area == paths.island_area(1) == 0.0
-    assert paths.settings is None
-    drawn = paths.get_random_navigable_points(50, 3, island=0)
-    assert set(paths.get_islands(drawn).tolist()) == {0}
-    np.testing.assert_array_equal(drawn, paths.get_random_navigable_points(50, 3, island=0))
+    assert paths.viewpoint([20, 0, 0]) is paths.viewpoint([np.nan, 0, 0]) is None
+    assert paths.viewpoint_distance("a", "e") == float("inf")
+    assert paths.viewpoint_path("a", "e") == []
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 14), st.floats(0.1, 0.7))
@@ -93,7 +75,7 @@ def test_lengths_are_those_of_networkx(seed: int, count: int, density: float) ->
     rng = np.random.default_rng(seed)
     places = rng.uniform(0, 20, (count, 3)).astype(np.float32)
     edges = [(a, b) for a in range(count) for b in range(a + 1, count) if rng.random() < density]
-    paths = GraphPathfinder.from_edges(places, edges)
+    paths, names = graph_of(places, edges), tuple(map(str, range(count)))
     graph: nx.Graph = nx.Graph()
     graph.add_nodes_from(range(count))
     for a, b in edges:
@@ -102,17 +84,14 @@ def test_lengths_are_those_of_networkx(seed: int, count: int, density: float) ->
     for a, lengths in nx.all_pairs_dijkstra_path_length(graph):
         for b, length in lengths.items():
             expected[a, b] = length
-    table = paths.distance_table(places, places)
-    np.testing.assert_allclose(table, expected, rtol=1e-6)
-    for a in range(count):
-        np.testing.assert_array_equal(paths.geodesic_distances(places[a], places), table[a])
-        for b in range(count):
-            path = paths.find_path(places[a], places[b])
-            assert np.float32(path.geodesic_distance) == table[a, b]
-            walked = np.linalg.norm(np.diff(path.points.astype(float), axis=0), axis=1).sum()
-            assert path.found == (len(path.points) > 0)
-            if path.found:
-                assert walked == pytest.approx(path.geodesic_distance, rel=1e-6)
+    np.testing.assert_allclose(paths.between(range(count), range(count)), expected)
+    for a in names:
+        for b in names:
+            way = paths.viewpoint_path(a, b)
+            length = paths.viewpoint_distance(a, b)
+            assert (way != []) == np.isfinite(length)
+            if way:
+                assert paths.path_length(way) == pytest.approx(length)
 
 
 def test_r2r_paths_are_shortest_and_as_long_as_r2r_says(real_data: Path) -> None:
@@ -182,14 +161,3 @@ def test_files_that_are_no_json(tmp_path: Path) -> None:
         (tmp_path / "bad.json").write_bytes(content)
         with pytest.raises(FormatError):
             read_connectivity(tmp_path / "bad.json")
-
-
-def test_graphs_that_are_none() -> None:
-    for places, edges in (
-        ([], []),
-        ([[0, 0, np.nan]], []),
-        ([[0, 0, 0]], [[0, 1]]),
-        ([[0, 0, 0], [1, 0, 0]], [[1, 1]]),
-    ):
-        with pytest.raises(InputError):
-            GraphPathfinder.from_edges(places, edges)

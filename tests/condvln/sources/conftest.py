@@ -13,7 +13,7 @@ from condvln.navigation.navmesh_file import NavMeshFile, write_navmesh
 from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.navigation.settings import NavMeshSettings
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from tests.condvln.glb_boxes import box_glb
 
 SCENE = "flat"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 
 Document = dict[str, Any]
 

@@ -13,7 +13,7 @@ from condvln.formats.dataset_root import DatasetRoot, list_files
 from condvln.samples import FAMILIES, make_samples
 from condvln.scene.tables import scene_tables
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from schemas.errors import CondVLNError, ConfigError, MissingFileError, PathEscapeError
 
 

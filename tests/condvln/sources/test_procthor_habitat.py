@@ -18,7 +18,7 @@ from condvln.samples import make_layouts, make_samples, write_ai2thor_hab
 from condvln.scene import RoomArrays, Scene
 from condvln.sources.family import look_for
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from jobs.generate import run_generate
 from jobs.verify import verify_export
 from jobs.workspace import published

@@ -16,7 +16,8 @@ from condvln.scene.meshes import MeshLibrary
 from condvln.scene.rotations import to_matrix
 from condvln.scene.tables import scene_tables
 from condvln.sources.registry import open_source
-from condvln.sources.source import SceneHandle, Source
+from condvln.sources.scene_source import Source
+from condvln.sources.source import SceneHandle
 from schemas.config import AgentConfig
 
 ARTICULATED = {"cabinet", "chestOfDrawers_01", "door2", "fridge", "kitchenCupboard_01", "kitchen_counter"}

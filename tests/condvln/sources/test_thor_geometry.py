@@ -15,7 +15,7 @@ from condvln.samples.maker import make_samples
 from condvln.scene.boxes import corners
 from condvln.scene.scene import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
-from condvln.sources.source import Source
+from condvln.sources.scene_source import Source
 from tests.condvln.sources.thor_plans import corner_points, plan, thing, write
 
 

@@ -19,9 +19,9 @@ from PIL import Image
 from condvln.evaluation.split import open_export
 from condvln.formats.image_files import jpeg
 from condvln.navigation.follower import Follower
+from condvln.scene.rotations import heading_of
 from condvln.sensors import open_renderer
 from condvln.sources.registry import open_source
-from condvln.trajectories.walks import heading_of
 from jobs.trajectories import Request, make_trajectories, trajectory_config
 from schemas.errors import FormatError, ProofError, UsageError
 from tests.jobs.trajectories.made import FIFTEEN, TINY, WALKS, content, proven, rows, to
