@@ -78,7 +78,7 @@ class GoalsConfig(Section):
     reach: Metres = Field(0.5, le=10)
     """maximum distance of a goal point from the object's box"""
     reach_at_most: Metres = Field(1.0, le=10)
-    """maximum distance of a goal point from the object's box, on sides of the object with no suitable point within reach"""
+    """maximum distance of a goal point from the object's box, on sides of it with no suitable point within reach"""
     points: int = Field(8, ge=1, le=1000)
     """maximum number of goal points of an object"""
 
