@@ -40,6 +40,7 @@ REASONS: Final[dict[str, str]] = {
     "no_heading": "no start in the room has objects to the left, right, front and back as the text states",
     "object_without_goal_point": "no navigable point of the main floor near the object shows it recognisably",
     "leaves_too_close": "two leaves' goals are less than 2τ + the leaf gap apart",
+    "lead_unseen": "no place of a lead's room, away from all goals, shows what its condition asks about",
     "moves_too_close": "two stops of one leaf lie less than 2τ apart",
     "no_start_in_range": "no start has every leaf within the distance range and every stop outside 2τ",
     "unreachable": "no path between two consecutive stops",

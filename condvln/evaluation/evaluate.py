@@ -27,6 +27,7 @@ AXES: Final = (
     "composition",
     "observability",
     "moves",
+    "leads",
     "route",
     "words",
 )

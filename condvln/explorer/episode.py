@@ -62,6 +62,7 @@ def episode_document(
         "approximate": row["observability_approximate"],
         "evidence": [dict(one) for one in row["evidence"] or ()],
         "moves": row["moves"],
+        "leads": row["leads"],
         "words": row["words"],
         "text": row["instruction_text"],
         "clauses": clauses(row["instruction_text"], program) if parsed else [],

@@ -11,7 +11,7 @@ from typing import Final
 
 from condvln.instructions.condition_sampler import AskedStatement, ConditionSampler
 from condvln.instructions.degeneracy import GivenUp, outcomes
-from condvln.instructions.programs import composition
+from condvln.instructions.programs import composition, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
 from condvln.labels import Vocabulary
@@ -36,6 +36,7 @@ class WantedCell:
     draws : most draws of a candidate of one shape
     bearings : most egocentric statements of a program
     egocentric : whether conditions may be egocentric
+    leads : share of programs with leads
     """
 
     category: Category
@@ -46,6 +47,7 @@ class WantedCell:
     draws: int
     bearings: int
     egocentric: bool
+    leads: float = 0.0
 
 
 @dataclass(slots=True)
@@ -97,6 +99,7 @@ class CellDrawing:
         self._golds: Sequence[int] = range(self._leaves)
         self._dealt: list[int] = []
         self._move_sums = [*accumulate(wanted.move_shares)]
+        self._leads = wanted.leads
         self._gold = 0
         self._composition: Composition | None = None
         self.moves: tuple[int, ...] = ()
@@ -123,10 +126,11 @@ class CellDrawing:
                 rejected[given_up.reason] += 1
         return found
 
-    def aim(self, golds: Sequence[int], move_shares: Sequence[float]) -> None:
-        """Let the next candidates have the gold leaves `golds`, dealt in a random order, and leaves with 1, 2, …
-        moves in the shares `move_shares`.
+    def aim(self, golds: Sequence[int], move_shares: Sequence[float], leads: float | None = None) -> None:
+        """Let the next candidates have the gold leaves `golds`, dealt in a random order, leaves with 1, 2, … moves in
+        the shares `move_shares`, and leads in the share `leads`; None leaves that share as it is.
         """
+        self._leads = self._leads if leads is None else leads
         self._golds, self._dealt, self._move_sums = golds, [], [*accumulate(move_shares)]
 
     def begin(self, gold: int) -> None:
@@ -220,6 +224,9 @@ class CellDrawing:
             branches=SHAPES[wanted.category].branches,
             leaves=tuple([Leaf.model_construct(moves=tuple([name.ref for name in leaf])) for leaf in named]),
         )
+        # Whether there are leads is drawn last, and alike for all truths.
+        if self._leads and draws.uniform() < self._leads:
+            program = with_leads(program)
         return named, statements, program
 
     def _name_stops(

@@ -56,6 +56,8 @@ def counterfactual_group(
         twin = condition_sampler.twin(program, index, draws)
         if twin is not None:
             other = flipped(program, index, twin)
+            if program.leads(leaf) != program.leads(program.gold_leaf()):
+                continue  # exchanged leaves would have other routes
             group = (
                 program,
                 other,
@@ -141,7 +143,7 @@ class ProgramSampler:
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self.scene, self.wanted, self.sampling, self.seed = scene, wanted, sampling, seed
-        self.preamble = preamble
+        self.preamble, self._placed = preamble, placed
         self._sayable = sayable(wanted.directions, placed=placed)
         self.words = words
         self._reasons: dict[InstructionCell | None, Counter[str]] = {}
@@ -295,7 +297,13 @@ class ProgramSampler:
             bearings=self.sampling.bearings,
             # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
             egocentric=cell.observability != "O0f",
+            leads=self.leads_of(cell),
         )
+
+    def leads_of(self, cell: InstructionCell) -> float:
+        """Return the share of a cell's programs that shall have leads: none where there is one room, or no navmesh."""
+        wanted = self.wanted.leads if cell.leads is None else float(cell.leads)
+        return 0.0 if self.scene.single_room or not self._placed else wanted
 
     def _worded(self, program: Program, words: tuple[int, int]) -> None:
         """Raise GivenUp if the text of `program` has not the number of words that a cell asks for."""
