@@ -362,7 +362,8 @@ class Placer:
         look: Callable[[Routes], None] | None,
     ) -> Placement:
         """Do what `place` does, with the targets of each leaf's stops."""
-        leaves = Leaves(stops)
+        leads = [len(its) - len(leaf.moves) for its, leaf in zip(stops, program.leaves, strict=True)]
+        leaves = Leaves(stops, leads)
         possible = self._from_starts.possible(
             leaves, self._bounds if lengths is None else self._bounds._replace(least=lengths[0], most=lengths[1])
         )

@@ -36,7 +36,7 @@ class WantedCell:
     draws : most draws of a candidate of one shape
     bearings : most egocentric statements of a program
     egocentric : whether conditions may be egocentric
-    leads : share of programs with leads
+    leads : whether programs have leads
     """
 
     category: Category
@@ -47,7 +47,7 @@ class WantedCell:
     draws: int
     bearings: int
     egocentric: bool
-    leads: float = 0.0
+    leads: bool
 
 
 @dataclass(slots=True)
@@ -99,7 +99,7 @@ class CellDrawing:
         self._golds: Sequence[int] = range(self._leaves)
         self._dealt: list[int] = []
         self._move_sums = [*accumulate(wanted.move_shares)]
-        self._leads = wanted.leads
+        self.leads = wanted.leads
         self._gold = 0
         self._composition: Composition | None = None
         self.moves: tuple[int, ...] = ()
@@ -126,11 +126,10 @@ class CellDrawing:
                 rejected[given_up.reason] += 1
         return found
 
-    def aim(self, golds: Sequence[int], move_shares: Sequence[float], leads: float | None = None) -> None:
-        """Let the next candidates have the gold leaves `golds`, dealt in a random order, leaves with 1, 2, … moves in
-        the shares `move_shares`, and leads in the share `leads`; None leaves that share as it is.
+    def aim(self, golds: Sequence[int], move_shares: Sequence[float]) -> None:
+        """Let the next candidates have the gold leaves `golds`, dealt in a random order, and leaves with 1, 2, …
+        moves in the shares `move_shares`.
         """
-        self._leads = self._leads if leads is None else leads
         self._golds, self._dealt, self._move_sums = golds, [], [*accumulate(move_shares)]
 
     def begin(self, gold: int) -> None:
@@ -224,10 +223,7 @@ class CellDrawing:
             branches=SHAPES[wanted.category].branches,
             leaves=tuple([Leaf.model_construct(moves=tuple([name.ref for name in leaf])) for leaf in named]),
         )
-        # Whether there are leads is drawn last, and alike for all truths.
-        if self._leads and draws.uniform() < self._leads:
-            program = with_leads(program)
-        return named, statements, program
+        return named, statements, with_leads(program) if self.leads else program
 
     def _name_stops(
         self, leaves: Sequence[Sequence[int]], rooms: Mapping[str, RoomRef], start_room: str | None, said: Said

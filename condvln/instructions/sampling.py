@@ -239,7 +239,7 @@ class ProgramSampler:
                 for program in self.programs(cell, drawing, self.sampling.candidates(cell)):
                     yield cell, program
 
-    def drawing(self, cell: InstructionCell, seen: Seen) -> CellDrawing | None:
+    def drawing(self, cell: InstructionCell, seen: Seen, *, leads: bool = False) -> CellDrawing | None:
         """Return a drawing of at most ``sampling.candidates(cell)`` candidates of a cell, for `programs`. Return None,
         and count the reason, if the scene has none. The drawings of the cells of a category share what is `seen`, so
         that all of their programs are distinct.
@@ -255,8 +255,9 @@ class ProgramSampler:
             reasons["no_targets"] += 1
             return None
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
+        purpose = (*purpose, "leads") if leads else purpose
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
-        kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category))
+        kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category), leads=leads)
         return self._drawing(kind, wanted, draws, seen)
 
     def programs(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Program]:
@@ -282,7 +283,7 @@ class ProgramSampler:
         shapes, stops, names = most * TRIES_PER_CANDIDATE, self.stop_sampler, self.stop_names
         return CellDrawing(wanted, most, shapes, draws, seen, stops, names, conditions, self.words)
 
-    def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float]) -> WantedCell:
+    def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float], *, leads: bool = False) -> WantedCell:
         """Return what is wanted of the candidates of a cell.
 
         moves : shares of leaves with 1, 2, … moves, unless the cell says their number
@@ -297,7 +298,7 @@ class ProgramSampler:
             bearings=self.sampling.bearings,
             # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
             egocentric=cell.observability != "O0f",
-            leads=self.leads_of(cell),
+            leads=leads,
         )
 
     def leads_of(self, cell: InstructionCell) -> float:
@@ -334,6 +335,7 @@ class ProgramSampler:
                 drawings[cell] = self._drawing(kind, 1, draws, Seen(keys=None))
             drawing = drawings[cell]
             drawing.begin(draws.index(SHAPES[cell.category].leaves))
+            drawing.leads = k < self.leads_of(cell) * wanted  # the first groups that fit are taken
             while found := drawing.draw(1, reasons):
                 try:
                     group = self._group(found[0], seen, draws)
