@@ -275,10 +275,10 @@ def _sharing(program: Program) -> dict[int, tuple[int, ...]]:
     common; all leaves if there is none.
     """
     numbers = range(len(program.leaves))
-    below = {-1 - leaf: (leaf,) for leaf in numbers}
+    below: dict[int, tuple[int, ...]] = {-1 - leaf: (leaf,) for leaf in numbers}
     for at in reversed(range(len(program.branches))):
         below[at] = below[program.branches[at].then] + below[program.branches[at].otherwise]
-    found, here = {}, {0: tuple(numbers)}
+    found, here = dict[int, tuple[int, ...]](), {0: tuple(numbers)}
     for at, branch in enumerate(program.branches):  # a branch comes before those below it
         leaves = here[at] if branch.lead is None else tuple(sorted(below[at]))
         found[branch.condition] = here[branch.then] = here[branch.otherwise] = leaves

@@ -239,9 +239,10 @@ class Placer:
     def _targets(self) -> tuple[GoalField, dict[str, int]]:
         """The objects, and after them each place at which a lead may end; and the number of each room's first place."""
         targets, first = dict(self.field.goals), dict[str, int]()
-        for room in self.scene.rooms if self.leads is not None else ():
+        for room in self.scene.rooms:
             first[room.room_id] = len(targets)
-            targets.update({f"{room.room_id} {k}": at[None] for k, at in enumerate(self.leads.points(room.room_id))})
+            ends = () if self.leads is None else self.leads.points(room.room_id)
+            targets.update({f"{room.room_id} {k}": at[None] for k, at in enumerate(ends)})
         return GoalField(self.pathfinder, targets), first
 
     @cached_property

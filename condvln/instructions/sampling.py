@@ -105,6 +105,8 @@ def group_id(family: str, scene_id: str, group: Group) -> str:
     return hashlib.sha256(f"{family}\x1f{scene_id}\x1f{keys}".encode()).hexdigest()[:ID_LENGTH]
 
 
+LEAD_FACTOR: Final = 2
+"""Factor on the candidates with leads, since placing rejects more of them."""
 TRIES_PER_CANDIDATE: Final = 2
 """Number of shapes tried per wanted candidate, so that a scene reaches its number although some shapes are
 impossible.
@@ -244,7 +246,7 @@ class ProgramSampler:
         and count the reason, if the scene has none. The drawings of the cells of a category share what is `seen`, so
         that all of their programs are distinct.
         """
-        category, wanted = cell.category, self.sampling.candidates(cell)
+        category, wanted = cell.category, self.sampling.candidates(cell) * (LEAD_FACTOR if leads else 1)
         reasons = self._reasons.setdefault(cell, Counter())
         if not wanted:
             return None
