@@ -305,7 +305,7 @@ class ProgramSampler:
 
     def leads_of(self, cell: InstructionCell) -> float:
         """Return the share of a cell's programs that shall have leads: none where there is one room, or no navmesh."""
-        wanted = self.wanted.leads if cell.leads is None else float(cell.leads)
+        wanted = self.wanted.leads if cell.leads is None else float(cell.leads == "with")
         return 0.0 if self.scene.single_room or not self._placed else wanted
 
     def _worded(self, program: Program, words: tuple[int, int]) -> None:

@@ -52,8 +52,8 @@ class InstructionCell(Section):
     """number of moves of every leaf; it is the same for all leaves, so that it doesn't reveal the gold leaf"""
     route: tuple[Finite, Finite] | None = Field(None, json_schema_extra={"unit": "m"})
     """[minimum, maximum] length of the route through the stops to every leaf"""
-    leads: bool | None = None
-    """whether programs have leads, in scenes of several rooms; if not given, instructions.leads of them have"""
+    leads: Literal["with", "without"] | None = None
+    """whether programs have leads, in scenes of several rooms; if not given, instructions.leads says how many have"""
     words: tuple[int, int] | None = None
     """[minimum, maximum] number of words of the text, including the opening with the start heading"""
     count: int = Field(ge=1, le=10_000)
@@ -94,7 +94,7 @@ class InstructionCell(Section):
         moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
         route = None if self.route is None else f"{_span(self.route)} m"
         words = None if self.words is None else f"{_span(self.words)} words"
-        leads = None if self.leads is None else "leads" if self.leads else "no leads"
+        leads = f"{self.leads} leads" if self.leads else None
         parts = (self.category, self.composition, self.observability, moves, leads, route, words)
         return " ".join(part for part in parts if part)
 
