@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -152,7 +151,7 @@ class CandidateSupply:
 
     def leads_of(self, cell: InstructionCell) -> int:
         """Return how many episodes of a cell shall have leads."""
-        return math.ceil(self._sampler.leads_of(cell) * cell.count)
+        return round(self._sampler.leads_of(cell) * cell.count)
 
     def more(
         self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None, *, leads: bool

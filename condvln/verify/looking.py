@@ -75,7 +75,7 @@ def check_looking(
     joined = [
         extra <= 2 * CORNER or _is_open(pathfinder, *side) for extra, side in zip(metres - straight, sides, strict=True)
     ]
-    walkable = np.split(np.array(joined, bool), np.cumsum([len(path) - 1 for path in paths]))
+    walkable = np.split(np.array(joined, bool), np.cumsum([len(path) - 1 for path in paths])[:-1])
     actions = [np.array(row.looking_actions, np.int8) for row, _ in asked]
     yaws = [yaw_of(row.start_rotation) or 0.0 for row, _ in asked]
     walks = executed(pathfinder, [row.start_position for row, _ in asked], yaws, [taken[:-1] for taken in actions])

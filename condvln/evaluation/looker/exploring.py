@@ -128,8 +128,8 @@ class Explorer:
         return found
 
     def inwards(self, phrase: Phrase, here: Here) -> F64 | None:
-        """Return a position on the way to the middle of the room of `phrase`; None if the agent is there, or finds no way
-        to such a room.
+        """Return a position on the way to the middle of the room of `phrase`; None if the agent is there, or knows no
+        way to such a room.
         """
         rooms, ground = self._referents.rooms(phrase), here.ground
         inside = ground.passable & self._open_to(ground) & np.isfinite(here.ways.distance)
