@@ -154,7 +154,12 @@ class CandidateSupply:
         return round(self._sampler.leads_of(cell) * cell.count)
 
     def more(
-        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None, *, leads: bool
+        self,
+        cell: InstructionCell,
+        count: int,
+        golds: Sequence[int],
+        moves: Sequence[float] | None,
+        leads: bool = False,
     ) -> list[Candidate]:
         """Return the next `count` candidates of a cell, fewer if the cell is exhausted.
 

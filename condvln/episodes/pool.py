@@ -396,7 +396,7 @@ class _Filling:
             drawn: list[Candidate] = []
             if lacking > 0:
                 drawn = self._supply.more(cell, math.ceil(DRAWN_PER_PLACE * lacking), golds, moves, leads=True)
-            found = [[one] for one in drawn or self._supply.more(cell, count, golds, moves, leads=False)]
+            found = [[one] for one in drawn or self._supply.more(cell, count, golds, moves)]
         for members in found:
             one = _Try(members)
             self._tries.append(one)

@@ -44,7 +44,7 @@ def _faults(made_export, mutate) -> list[set[str]]:
         (lead_to_another_room, {"leads", "text_conditions", "text_reading"}),
         (leave_a_lead_out, {"leaf_objects"}),
         (pass_a_lead_by, {"leaf_objects"}),
-        (lead_nowhere, {"lead_place"}),
+        (lead_nowhere, {"lead_place", "start_apart"}),
         (lead_nowhere, {"lead_seen"}),
     ],
 )
