@@ -240,7 +240,7 @@ def place_programs(
     (placer,) = placers
     observer = Observer(scene, walkable.view, pathfinder, places, rules, obstacles, sightings=sightings)
     looking = LookingPaths(scene, walkable.view, pathfinder, places, rules, observer)
-    if not scene.single_room and instructions.leads:
+    if any(map(sampler.leads_of, instructions.wanted)):
         placer.leads = LeadPlaces(scene, pathfinder, observer, places, looking.places, placer.starts)
     pool = fill_pool(
         CandidateSupply(sampler),

@@ -104,8 +104,10 @@ class PhraseReader(WordReader):
 
     def _led_scope(self) -> Named | None:
         """Return the room of the only lead of a text if the text names no other room: all that it names is there."""
+        parsed = self.furthest
         named = [at for at in range(len(self.tokens)) if self._names_room(at)]
         leads = {room for at in range(len(self.tokens)) for ends in (".", "and") for _, room in self._led(at, ends)}
+        self.furthest = parsed
         return leads.pop() if len(named) == 1 == len(leads) else None
 
     def _names_room(self, at: int) -> bool:
