@@ -91,7 +91,7 @@ class GuesserView(NamedTuple):
             if not 0 <= view.gold < shape.leaves:
                 raise ValueError(f"the gold leaf is {view.gold}, but the program has {shape.leaves} leaves")
             return view
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
             raise FormatError(
                 f"not a valid manifest row ({type(error).__name__}: {error})", remedy="Export again"
             ) from error
