@@ -204,7 +204,7 @@ class Branch(Frozen):
 
 
 class Leaf(Frozen):
-    """One to three moves: the last one is the leaf's goal, those before it are subgoals, as are the leads before them."""
+    """One to three moves: the last one is the leaf's goal; those before it are subgoals, after the leads on the way."""
 
     moves: tuple[ObjectRef, ...] = Field(min_length=1, max_length=3)
 
