@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from functools import lru_cache, partial
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -21,6 +20,7 @@ from condvln.export.staging import alone_in, staged
 from condvln.export.tables import FolderTables, Row
 from condvln.export.viewpoints import FOLDER, GraphEpisodes, ViewpointReport, write_viewpoints
 from condvln.formats.streams import atomic_stream
+from condvln.instructions import oracle_linear
 from condvln.instructions.programs import program_tree
 from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
 from condvln.navigation.graph_pathfinder import GraphFolder
@@ -37,7 +37,7 @@ from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
 from schemas.evaluation import ManifestEpisode
-from schemas.program import ObjectRef
+from schemas.program import Program
 
 __all__ = ["alone_in_export", "card_pictures", "export_snapshot_of", "graphs_of", "run_export", "write_export"]
 
@@ -259,18 +259,12 @@ def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> No
 
 def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[[Row, Row], str]:
     def text(episode: Row, instruction: Row) -> str:
-        named = instruction["leaves"][episode["gold_leaf"]]["moves"]
-        moves = tuple([_move(orjson.dumps(move)) for move in named])
+        named = {name: instruction[name] for name in ("category", "conditions", "branches", "leaves")}
+        moves = oracle_linear(Program.model_validate(named))
         heading = episode["start_heading_degrees"]
         return text_of_moves(moves, episode["instruction_id"], heading, wording, seed=seed, preamble=preamble)
 
     return text
-
-
-@lru_cache(maxsize=4096)
-def _move(document: bytes) -> ObjectRef:
-    """Return a validated move. Many instructions of a scene lead to the same few objects."""
-    return ObjectRef.model_validate_json(document)
 
 
 def _former(config: Config, snapshot: Snapshot) -> FolderTables | None:

@@ -20,7 +20,7 @@ from jobs.report import Report
 from schemas.config import WordingConfig
 from schemas.errors import UsageError
 from schemas.evaluation import ManifestEpisode
-from schemas.program import ObjectRef
+from schemas.program import ObjectRef, RoomRef
 
 __all__ = ["oracle_split", "text_of_moves", "twin_text"]
 
@@ -36,13 +36,13 @@ def twin_text(episode: ManifestEpisode, texts: Mapping[str, Any], leaf: int | No
     """
     wording = WordingConfig.model_validate({k: v for k, v in texts.items() if k in WordingConfig.model_fields})
     heading = -math.degrees(heading_of(episode.start_rotation)) % 360.0
-    moves = oracle_linear(episode.program) if leaf is None else episode.program.leaves[leaf].moves
+    moves = oracle_linear(episode.program, leaf)
     seed, preamble = int(texts.get("seed", 0)), bool(texts.get("preamble", True))
     return text_of_moves(moves, episode.instruction_id, heading, wording, seed=seed, preamble=preamble)
 
 
 def text_of_moves(
-    moves: tuple[ObjectRef, ...],
+    moves: tuple[RoomRef | ObjectRef, ...],
     instruction_id: str,
     heading_degrees: float,
     wording: WordingConfig | str = "en",
@@ -50,12 +50,13 @@ def text_of_moves(
     seed: int,
     preamble: bool,
 ) -> str:
-    """Return the moves of one leaf as a plain instruction; `seed` and `instruction_id` choose the words.
+    """Return the stops of one leaf as a plain instruction; `seed` and `instruction_id` choose the words.
 
     heading_degrees : start heading, clockwise from north; preamble : open with it where compass words are used
     """
     told = render_moves(moves, seed, instruction_id, wording)
-    compass = any(move.qualifier is not None and move.qualifier.predicate in COMPASS for move in moves)
+    qualifiers = [move.qualifier for move in moves if isinstance(move, ObjectRef)]
+    compass = any(one is not None and one.predicate in COMPASS for one in qualifiers)
     return with_preamble(told, heading_degrees, seed, instruction_id, wording) if preamble and compass else told
 
 

@@ -37,8 +37,8 @@ __all__ = ["episode_lines", "named_rows", "show_episodes", "show_export", "sprea
 Item = TypeVar("Item")
 
 _INSTRUCTION_COLUMNS: Final = (
-    "scene_id", "instruction_id", "group_id", "category", "composition", "gold_leaf", "n_leaves", "moves", "words",
-    "text",
+    "scene_id", "instruction_id", "group_id", "category", "composition", "gold_leaf", "n_leaves", "moves", "leads",
+    "words", "text",
 )  # fmt: skip
 # Ids are hashes, or made of hashes: taking them in their order is a sample that is the same every time.
 _SAMPLED: Final = (("episodes", "episode_id", None), ("instructions", "instruction_id", list(_INSTRUCTION_COLUMNS)))

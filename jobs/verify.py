@@ -177,7 +177,7 @@ def _is_placed(config: Config, export_dir: Path, without_store: bool) -> bool:
 
 
 _OF_TEXTS: Final = (
-    *("scene_id", "instruction_id", "group_id", "category", "depth", "chain", "composition", "moves", "words"),
+    *("scene_id", "instruction_id", "group_id", "category", "depth", "chain", "composition", "moves", "leads", "words"),
     *("gold_leaf", "conditions", "branches", "leaves", "text"),
 )
 """Columns of the instructions table that the proof of a text reads."""

@@ -32,7 +32,7 @@ class Evidence(Document):
 
 
 class Subgoal(Document):
-    """A point on the way to the goal, snapped to the navmesh, and the object that it belongs to."""
+    """A point on the way to the goal, snapped to the navmesh, and the object that it belongs to; the room of a lead."""
 
     object_id: str
     position: Vec3

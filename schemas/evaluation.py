@@ -33,6 +33,8 @@ class ManifestEpisode(VersionedDocument):
     evidence: tuple[Evidence, ...] | None = None
     moves: int
     """number of moves of the gold leaf"""
+    leads: int = 0
+    """number of leads on the way to it"""
     words: int
     instruction_text: str
     program: Program

@@ -199,10 +199,12 @@ class Branch(Frozen):
     condition: int = Field(ge=0)
     then: int
     otherwise: int
+    lead: RoomRef | None = None
+    """the room to go to before the condition is decided; null where one is there already, or is not sent there"""
 
 
 class Leaf(Frozen):
-    """One to three moves: the last move is the leaf's goal, the earlier ones are the leaf's subgoals."""
+    """One to three moves: the last one is the leaf's goal; those before it are subgoals, after the leads on the way."""
 
     moves: tuple[ObjectRef, ...] = Field(min_length=1, max_length=3)
 
@@ -258,7 +260,8 @@ class Program(Frozen):
     @model_validator(mode="after")
     def _is_the_category_s_tree(self) -> Program:
         shape = SHAPES[self.category]
-        if self.branches != shape.branches or len(self.leaves) != shape.leaves:
+        bare = tuple([_b(one.condition, one.then, one.otherwise) for one in self.branches])
+        if bare != shape.branches or len(self.leaves) != shape.leaves:
             raise ValueError(f"branches and leaves are not those of category {self.category!r}")
         if len(self.conditions) != len(self.branches):
             raise ValueError("each branch must have one condition")
@@ -295,6 +298,31 @@ class Program(Frozen):
             asked.append(branch.condition)
             at = branch.then if values[branch.condition] else branch.otherwise
         return tuple(asked), -1 - at
+
+    def led_branches(self, leaf: int) -> tuple[int, ...]:
+        """Return the indices of the branches with leads on the way to a leaf, in order."""
+        found: dict[int, tuple[int, ...]] = {0: ()}
+        for at, branch in enumerate(self.branches):  # a branch comes before those below it
+            found[branch.then] = found[branch.otherwise] = found[at] if branch.lead is None else (*found[at], at)
+        return found[-1 - leaf]
+
+    def leads(self, leaf: int) -> tuple[RoomRef, ...]:
+        """Return the leads on the way to a leaf, in order."""
+        return tuple([lead for at in self.led_branches(leaf) if (lead := self.branches[at].lead) is not None])
+
+    @property
+    def last_leads(self) -> tuple[RoomRef | None, ...]:
+        """Return for each condition the last lead before it is decided; None if there is none."""
+        found: dict[int, RoomRef | None] = {0: None}
+        leads: list[RoomRef | None] = [None] * len(self.conditions)
+        for at, branch in enumerate(self.branches):
+            found[branch.then] = found[branch.otherwise] = leads[branch.condition] = branch.lead or found[at]
+        return tuple(leads)
+
+    def stops(self, leaf: int) -> tuple[str, ...]:
+        """Return the ids of a leaf's stops in order: rooms of the leads on the way to it, then objects of its moves."""
+        moves = self.leaves[leaf].moves
+        return (*[lead.room_id for lead in self.leads(leaf)], *[move.object_id for move in moves])
 
     @property
     def depth(self) -> int:

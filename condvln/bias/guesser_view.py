@@ -18,6 +18,7 @@ class Asked(NamedTuple):
     episode to be guessed.
 
     definite : the condition is about one object that is known to exist
+    lead : one is sent to its room first
     """
 
     label: str
@@ -26,6 +27,7 @@ class Asked(NamedTuple):
     anchor: str
     truth: bool
     definite: bool = False
+    lead: bool = False
 
 
 class LeafView(NamedTuple):
@@ -70,6 +72,7 @@ class GuesserView(NamedTuple):
         """
         try:
             program = row["program"]
+            led = {branch["condition"] for branch in program.get("branches", ()) if branch.get("lead")}
             view = cls(
                 episode_hash=row["episode_hash"],
                 source=row["source"],
@@ -78,7 +81,7 @@ class GuesserView(NamedTuple):
                 category=row["category"],
                 group=row["group_id"],
                 text=row["instruction_text"],
-                asked=tuple([_asked(condition) for condition in program["conditions"]]),
+                asked=tuple([_asked(condition, k in led) for k, condition in enumerate(program["conditions"])]),
                 leaves=tuple([_leaf(*pair) for pair in zip(program["leaves"], row["leaves"], strict=True)]),
                 gold=int(row["gold_leaf"]),
             )
@@ -88,20 +91,20 @@ class GuesserView(NamedTuple):
             if not 0 <= view.gold < shape.leaves:
                 raise ValueError(f"the gold leaf is {view.gold}, but the program has {shape.leaves} leaves")
             return view
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
             raise FormatError(
                 f"not a valid manifest row ({type(error).__name__}: {error})", remedy="Export again"
             ) from error
 
 
-def _asked(condition: Mapping[str, Any]) -> Asked:
+def _asked(condition: Mapping[str, Any], lead: bool) -> Asked:
     qualifier = condition["qualifier"]
     predicate = anchor = ""
     if qualifier:
         predicate = qualifier["predicate"]
         anchor = " + ".join([a["label"] for a in qualifier["anchors"]])
-    definite = bool(condition["definite"])
-    return Asked(condition["label"], condition["room"]["label"], predicate, anchor, bool(condition["truth"]), definite)
+    truth, definite = bool(condition["truth"]), bool(condition["definite"])
+    return Asked(condition["label"], condition["room"]["label"], predicate, anchor, truth, definite, lead)
 
 
 def _leaf(words: Mapping[str, Any], placed: Mapping[str, Any]) -> LeafView:

@@ -285,9 +285,11 @@ def _cues(view: GuesserView) -> Iterator[Hashable]:
 
 
 def _form(view: GuesserView) -> Iterator[Hashable]:
-    """Yield the form of a text without its content: length, words other than nouns, which conditions are definite."""
+    """Yield the form of a text without its content: length, words other than nouns, which conditions are definite, and
+    which have leads.
+    """
     yield len(view.text.split()) // WORDS_A_CLASS
-    yield from ((k, asked.definite, bool(asked.predicate)) for k, asked in enumerate(view.asked))
+    yield from ((k, asked.definite, bool(asked.predicate), asked.lead) for k, asked in enumerate(view.asked))
     content = content_words()
     yield from pairwise("_" if word in content else word for word in _words(view.text))
 
@@ -356,7 +358,7 @@ def _whole_statement(asked: Asked) -> Hashable:
 
 
 def _form_of_statement(asked: Asked) -> Hashable:
-    return asked.definite, asked.predicate
+    return asked.definite, asked.predicate, asked.lead
 
 
 LEARNED: Final[Mapping[str, Learner]] = {

@@ -40,6 +40,7 @@ REASONS: Final[dict[str, str]] = {
     "no_heading": "no start in the room has objects to the left, right, front and back as the text states",
     "object_without_goal_point": "no navigable point of the main floor near the object shows it recognisably",
     "leaves_too_close": "two leaves' goals are less than 2τ + the leaf gap apart",
+    "lead_unseen": "no place of a lead's room, away from all goals, shows what its condition asks about",
     "moves_too_close": "two stops of one leaf lie less than 2τ apart",
     "no_start_in_range": "no start has every leaf within the distance range and every stop outside 2τ",
     "unreachable": "no path between two consecutive stops",
@@ -130,7 +131,7 @@ class CandidateSupply:
         self._sampler = sampler
         self._groups = sampler.groups()
         self._seen: defaultdict[Category, Seen] = defaultdict(Seen)
-        self._drawings: dict[InstructionCell, CellDrawing | None] = {}
+        self._drawings: dict[tuple[InstructionCell, bool], CellDrawing | None] = {}
         self.labels = len(sampler.stop_sampler.weights)
         leaves = [SHAPES[category].leaves for category in CATEGORIES if sampler.wanted.cells_of(category)]
         self.group_leaves = GROUP_SIZE * sum(leaves) / max(1, len(leaves))
@@ -148,17 +149,27 @@ class CandidateSupply:
         name = group_id(self._sampler.scene.family, self._sampler.scene.scene_id, group)
         return [self.candidate(program, None, name) for program in group]
 
+    def leads_of(self, cell: InstructionCell) -> int:
+        """Return how many episodes of a cell shall have leads."""
+        return round(self._sampler.leads_of(cell) * cell.count)
+
     def more(
-        self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
+        self,
+        cell: InstructionCell,
+        count: int,
+        golds: Sequence[int],
+        moves: Sequence[float] | None,
+        leads: bool = False,
     ) -> list[Candidate]:
         """Return the next `count` candidates of a cell, fewer if the cell is exhausted.
 
         golds : their gold leaves, which are dealt in a random order, and again if there are fewer than `count`
         moves : shares of their leaves with 1, 2, … moves; None for the shares of the configuration
+        leads : whether they have leads; each kind is exhausted by itself
         """
-        if cell not in self._drawings:
-            self._drawings[cell] = self._sampler.drawing(cell, self._seen[cell.category])
-        drawing = self._drawings[cell]
+        if (cell, leads) not in self._drawings:
+            self._drawings[cell, leads] = self._sampler.drawing(cell, self._seen[cell.category], leads=leads)
+        drawing = self._drawings[cell, leads]
         if drawing is None:
             return []
         drawing.aim(golds, moves or self._sampler.sampling.drawn_move_shares(cell.category))

@@ -1,8 +1,9 @@
 """Looking paths: the walk to a leaf of an agent that sees the evidence of each condition before it acts on it.
 
 The plan is a shortest path over places of the floor from which the evidence is recognised: the conditions of the leaf's
-route in the order in which they are evaluated, then its stops. The agent walks it with the ground-truth actions and a
-level camera: it stops at the first place from which a turn decides the next condition, turns, and goes on from there.
+route in the order in which they are evaluated, each one after its lead, then its moves. The agent walks it with the
+ground-truth actions and a level camera: it stops at the first place from which a turn decides the next condition,
+turns, and goes on from there.
 So what it sees on the way counts, and no place is nearer to the evidence than it must be.
 """
 
@@ -12,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import permutations
+from itertools import pairwise, permutations
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -109,6 +110,12 @@ class _Plans:
         for k in np.flatnonzero(np.isfinite(cost)).tolist():
             stops[k] = (*self.stops[last[k]], (number, k))
         return _Plans(cost, stops)
+
+    def moved(self, metres: F64, to: Bools) -> _Plans:
+        """Return the best plan that goes on to the one place in `to` (n,) and need not look there."""
+        total = self.cost + metres[:, to.argmax()]
+        last = int(total.argmin())
+        return _Plans(np.where(to, total[last], np.inf), [self.stops[last]] * len(to))
 
     def only(self, places: Bools, number: int | None = None) -> _Plans:
         """Return the plans that end at these places (n,); with a `number`, they also look there for that condition."""
@@ -325,6 +332,8 @@ class LookingPaths:
         away, on_legs, leg = self._from_start(routes.start)
         used &= np.isfinite(away)
         used[[place for place in without if place != START]] = False
+        ends = self._lead_ends(program, routes)
+        used[[*{place for its in ends for place in its.values()}]] = True
         at = np.flatnonzero(used)
         sights = {need: np.concatenate([from_start[need], self._from_places(need)[at]]) for need in needs}
         pairs = {need: self._pairs(need, at, sights[need]) for need in needs if need[0] == "floor"}
@@ -351,17 +360,29 @@ class LookingPaths:
                 near: Bools = np.any([early(asked[number][one]) for one in order[k:]], axis=0)
                 open_to = np.where(near[0], np.inf, metres)
                 open_to[0, near[1]] = np.inf
+                if condition in ends[number]:
+                    plans = plans.moved(metres, at == ends[number][condition])
                 plans = self._decided(plans.only(~near[0]), condition, ways[condition], sights, pairs, open_to)
-            total = plans.cost + self._onward(points, at, leaf, routes.objects[number][-1])
+            total = plans.cost + self._onward(points, at, leaf, len(ends[number]), routes.objects[number][-1])
             best = int(total.argmin())
             return float(total[best]), tuple((condition, int(at[k])) for condition, k in plans.stops[best])
 
         asked = _asked(program)
         found = [plan(number, [*conditions]) for number, conditions in enumerate(asked)]
         # Evidence may lie on the way to that of a condition that is asked before.
-        if found[gold][0] > routes.leaves[gold].route.length + _NEAR:
+        if not ends[gold] and found[gold][0] > routes.leaves[gold].route.length + _NEAR:
             found[gold] = min((plan(gold, order) for order in permutations(asked[gold])), key=itemgetter(0))
         return found
+
+    def _lead_ends(self, program: Program, routes: Routes) -> list[dict[int, int]]:
+        """Return for each leaf the places at which the leads on the way to it end, by the conditions that follow."""
+        return [
+            {
+                program.branches[branch].condition: int(np.abs(self.places - stop).sum(axis=1).argmin())
+                for branch, stop in zip(program.led_branches(leaf), found.route.stops, strict=False)
+            }
+            for leaf, found in enumerate(routes.leaves)
+        ]
 
     def _from_places(self, need: SightNeed) -> Bools:
         if need not in self._masks:
@@ -394,16 +415,19 @@ class LookingPaths:
             self._starts[key] = _Legs(reach, points[inner], leg[begin[one]][inner])
         return self._starts[key]
 
-    def _onward(self, points: F64, at: NDArray[np.intp], leaf: FoundLeaf, goal: str) -> F64:
+    def _onward(self, points: F64, at: NDArray[np.intp], leaf: FoundLeaf, leads: int, goal: str) -> F64:
         """Return the metres from the places numbered `at` (n,), the start first, which are the `points` (n, 3),
-        through a leaf's stops to its goal.
+        through a leaf's stops after its leads to its goal.
         """
-        if len(leaf.route.stops) > 1:
-            first = self._metres(points, leaf.route.stops[:1])[:, 0]
-            return np.asarray(first + (leaf.route.length - first[0]))
+        stops = leaf.route.stops[leads:]
+        if len(stops) > 1:
+            first = self._metres(points, stops[:1])[:, 0]
+            legs = pairwise([points[0], *leaf.route.stops[: leads + 1]])
+            passed = sum(self.pathfinder.geodesic_distance(*leg) for leg in legs) if leads else first[0]
+            return np.asarray(first + (leaf.route.length - passed))
         if goal not in self._to_object:
             self._to_object[goal] = self._metres(self.places, leaf.goals).min(axis=1)
-        return np.concatenate([[leaf.route.length], self._to_object[goal][at[1:]]])
+        return np.concatenate([[leaf.distance], self._to_object[goal][at[1:]]])
 
     def _decided(
         self,
@@ -497,13 +521,17 @@ class LookingPaths:
         leaf = routes.leaves[number]
         asked = _asked(program)[number]
         walk = _Walk(self, routes, {k: self.observer.needs(program.conditions[k]) for k in asked})
-        for k in dict.fromkeys([*(one for one, _ in stops), *asked]):
+        leads = [program.branches[branch].condition for branch in program.led_branches(number)]
+        order = dict.fromkeys(asked if leads else [*(one for one, _ in stops), *asked])
+        for k in order:
+            if k in leads:
+                walk.visit(leaf.route.stops[leads.index(k)])
             places = [place for one, place in stops if one == k]
             if not walk.decides(k, places):
                 return places[-1] if places else START
         if walk.acts_early(asked):
             raise Rejected("looking_unseen")
-        ends = leaf.route.stops
+        ends = leaf.route.stops[len(leads) :]
         if len(ends) == 1 and len(walk.corners) > 1:
             ends = leaf.goals[[int(self._metres(walk.place[None], leaf.goals).argmin())]]
         walk.finish(ends, routes.objects[number][-1])
@@ -606,6 +634,22 @@ class _Walk:
             if number in self.decided:
                 return True
         return False
+
+    def visit(self, place: F64) -> None:
+        """Walk to a place, which becomes a corner of the path.
+
+        Raises
+        ------
+        Rejected : the follower does not reach it
+        """
+        leg = self._looking.towards_place.follow(self.place, self.heading, place)
+        if not leg.arrived:
+            raise Rejected("follower_stuck")
+        frames = len(self.actions)
+        self.actions += leg.actions[:-1].tolist()
+        self._replay()
+        self._notice(frames + 1)
+        self._keep(np.concatenate([self._positions[frames:], place[None]]))
 
     def _goes(self, place: F64, number: int) -> bool:
         """Walk towards a place, until condition `number` is decided or a turn may decide it; return False if the agent

@@ -110,7 +110,8 @@ class Observer:
     def observe(self, program: Program, outlook: Outlook) -> Observation:
         """Return the observation of a placed program."""
         start = eyes_at(outlook.start, self._places.eye_height).reshape(1, 3)
-        on_the_way: F64 | None = None
+        on_the_way: dict[tuple[int, ...], F64] = {}
+        sharing = _sharing(program)
         evidence = []
         for k in sorted(set(program.route()[0])):
             ways = self.needs(program.conditions[k])
@@ -120,16 +121,17 @@ class Observer:
                 evidence.append(Evidence(condition=k, observability="O0", in_view=in_view, degrees=degrees))
                 continue
             # Only what is not known at the start is looked for on the way.
-            if on_the_way is None:
-                on_the_way = self._eyes_on_the_way(outlook)
-            known, degrees = self._known(ways, on_the_way)
+            leaves = sharing[k]
+            if leaves not in on_the_way:
+                on_the_way[leaves] = self._eyes_on_the_way(outlook, leaves)
+            known, degrees = self._known(ways, on_the_way[leaves])
             found: Observability = "O1" if known else "O2"
             best = degrees if known else self._from_anywhere(ways)
             evidence.append(Evidence(condition=k, observability=found, in_view=False, degrees=best))
         return Observation(tuple(evidence), self._view.approximate)
 
-    def _eyes_on_the_way(self, outlook: Outlook) -> F64:
-        points = spaced_points(common_prefix(outlook.paths), EYE_SPACING)
+    def _eyes_on_the_way(self, outlook: Outlook, leaves: Sequence[int]) -> F64:
+        points = spaced_points(common_prefix([outlook.paths[leaf] for leaf in leaves]), EYE_SPACING)
         points[0] = outlook.start
         return eyes_at(points, self._places.eye_height)
 
@@ -146,6 +148,29 @@ class Observer:
             return whole
         there = [_object(name) for name in self._meant(room, condition.label)]
         return (frozenset({*there, *anchor}), *whole) if there else whole
+
+    def either_way(self, condition: Condition) -> frozenset[SightNeed]:
+        """Return what an agent must see to know a condition's truth, if it can't tell beforehand what the truth is: all
+        things that may be meant, with the anchor; the floor if nothing may be, or if the question is whether there is a
+        thing at all.
+        """
+        room = condition.room.room_id
+        things = {_object(name) for name in self._meant(room, condition.label)}
+        floor = {("floor", room, absence_range(condition.label, self._places))}
+        anchors = () if condition.qualifier is None else condition.qualifier.anchor_ids
+        asks_if_any = condition.qualifier is None or not things
+        return frozenset({*things, *map(_object, anchors), *(floor if asks_if_any else ())})
+
+    def shows(self, need: SightNeed, eyes: F64) -> Bools:
+        """Return a mask (n,) of the eyes (n, 3) from each of which one sees an object, or enough of a floor."""
+        if need[0] == "object":
+            return np.asarray(self.degrees(need, eyes) > 0.0)
+        known = self.target(need) is not None
+        return (
+            np.asarray(self.floor_in_view(need, eyes).mean(axis=1) >= self._rules.floor_seen)
+            if known
+            else (np.zeros(len(eyes), bool))
+        )
 
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
         """Return the ids of the visible objects that a word for `label` might mean in a room. Unlabelled objects are
@@ -243,6 +268,21 @@ class Observer:
 
 def _object(name: str) -> SightNeed:
     return ("object", name, 0.0)
+
+
+def _sharing(program: Program) -> dict[int, tuple[int, ...]]:
+    """Return for each condition the leaves to which the last lead before it leads, whose paths have that lead in
+    common; all leaves if there is none.
+    """
+    numbers = range(len(program.leaves))
+    below: dict[int, tuple[int, ...]] = {-1 - leaf: (leaf,) for leaf in numbers}
+    for at in reversed(range(len(program.branches))):
+        below[at] = below[program.branches[at].then] + below[program.branches[at].otherwise]
+    found, here = dict[int, tuple[int, ...]](), {0: tuple(numbers)}
+    for at, branch in enumerate(program.branches):  # a branch comes before those below it
+        leaves = here[at] if branch.lead is None else tuple(sorted(below[at]))
+        found[branch.condition] = here[branch.then] = here[branch.otherwise] = leaves
+    return found
 
 
 def common_prefix(paths: Sequence[F64]) -> F64:

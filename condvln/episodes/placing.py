@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from condvln.seeding import FewDraws, generator
 from schemas.config import EpisodeConfig, PlacesConfig, Thresholds
 from schemas.program import Program
+
+if TYPE_CHECKING:
+    from condvln.episodes.leads import LeadPlaces
 
 __all__ = [
     "Outlook",
@@ -55,6 +58,12 @@ ROUTE_MISSED: Final = "route_missed"
 
 LOOKING: Final = ("looking_unseen", "looking_detour", "looking_budget")
 """Rejection reasons of looking paths."""
+
+
+LEAD_MARGIN: Final = 0.1
+"""Metres, in addition to the success distance, between where a lead ends and any goal."""
+LEAD_TRIES: Final = 3
+"""Number of ways in which it is tried to end the leads of a program."""
 
 
 LOOKS: Final = 5
@@ -198,6 +207,8 @@ class Placer:
         self._follower = Follower(pathfinder, max_actions=max(1, rules.step_ceiling // 2 - 1))
         self._solid = Footprints([footprint for _, footprint in self.obstacles])
         self.field = GoalField(pathfinder, goals)
+        self.leads: LeadPlaces | None = None
+        """where leads end; without them, no program may have leads"""
 
     @cached_property
     def starts(self) -> F64:
@@ -222,7 +233,17 @@ class Placer:
 
     @cached_property
     def _from_starts(self) -> Starts:
-        return Starts(self.pathfinder, self.field, self.starts, self._solid)
+        return Starts(self.pathfinder, self._targets[0], self.starts, self._solid)
+
+    @cached_property
+    def _targets(self) -> tuple[GoalField, dict[str, int]]:
+        """The objects, and after them each place at which a lead may end; and the number of each room's first place."""
+        targets, first = dict(self.field.goals), dict[str, int]()
+        for room in self.scene.rooms:
+            first[room.room_id] = len(targets)
+            ends = () if self.leads is None else self.leads.points(room.room_id)
+            targets.update({f"{room.room_id} {k}": at[None] for k, at in enumerate(ends)})
+        return GoalField(self.pathfinder, targets), first
 
     @cached_property
     def _apart(self) -> list[list[bool]]:
@@ -276,7 +297,8 @@ class Placer:
         members: Sequence[Program] | None = None,
         look: Callable[[Routes], None] | None = None,
     ) -> Placement:
-        """Find one start for `program` from which every leaf meets every rule.
+        """Find one start for `program` from which every leaf meets every rule. Where its leads end is tried in several
+        ways.
 
         Parameters
         ----------
@@ -293,12 +315,66 @@ class Placer:
         if not len(self.starts):
             raise Rejected("no_start")
         self.check_objects(program)
-        leaves = Leaves([[self._order[move.object_id] for move in leaf.moves] for leaf in program.leaves])
+        refused: Rejected | None = None
+        for ends in self._lead_ends(members or (program,)):
+            stops = [[ends[at] for at in program.led_branches(leaf)] for leaf in range(len(program.leaves))]
+            for its, leaf in zip(stops, program.leaves, strict=True):
+                its += [self._order[move.object_id] for move in leaf.moves]
+            try:
+                return self._with_stops(program, instruction_id, stops, compass, fit, lengths, members, look)
+            except Rejected as rejected:
+                refused = refused or rejected
+        assert refused is not None
+        raise refused
+
+    def _lead_ends(self, programs: Sequence[Program]) -> list[dict[int, int]]:
+        """Return several choices of where the leads of programs with equal leads end: for each branch with a lead, the
+        number of a target from which its condition can be decided, and that is not near the goal of any leaf.
+
+        Raises
+        ------
+        Rejected : a lead has no such place
+        """
+        goals = np.concatenate([self.field.goals[leaf.goal.object_id] for leaf in programs[0].leaves])
+        allowed: dict[int, list[int]] = {}
+        for at, branch in enumerate(programs[0].branches):
+            if branch.lead is None:
+                continue
+            assert self.leads is not None, "a program has leads, but where they may end is not known"
+            room_id = branch.lead.room_id
+            away = np.linalg.norm(self.leads.points(room_id)[:, None] - goals, axis=2).min(axis=1)
+            shown = [self.leads.showing(program.conditions[branch.condition]) for program in programs]
+            fit = np.all(shown, axis=0) & (away > self.tau + LEAD_MARGIN)
+            if not fit.any():
+                raise Rejected("lead_unseen", final=True)
+            allowed[at] = (self._targets[1][room_id] + np.flatnonzero(fit)).tolist()
+        tries = range(LEAD_TRIES if allowed else 1)
+        return [{at: fit[k * len(fit) // LEAD_TRIES] for at, fit in allowed.items()} for k in tries]
+
+    def _with_stops(
+        self,
+        program: Program,
+        instruction_id: str,
+        stops: Sequence[Sequence[int]],
+        compass: bool,
+        fit: Fit | None,
+        lengths: tuple[float, float] | None,
+        members: Sequence[Program] | None,
+        look: Callable[[Routes], None] | None,
+    ) -> Placement:
+        """Do what `place` does, with the targets of each leaf's stops."""
+        leads = [len(its) - len(leaf.moves) for its, leaf in zip(stops, program.leaves, strict=True)]
+        leaves = Leaves(stops, leads)
         possible = self._from_starts.possible(
             leaves, self._bounds if lengths is None else self._bounds._replace(least=lengths[0], most=lengths[1])
         )
         if isinstance(possible, str):
             raise Rejected(possible)
+        first = program.branches[0].lead
+        if first is not None and self.leads is not None:
+            possible = possible[~self.leads.holds(first.room_id, self.starts[possible])]
+            if not len(possible):
+                raise Rejected("no_start_in_range")
         draws = FewDraws(self.seed, self.scene.scene_id, "place", instruction_id)
         facing = self._facing(members or (program,), draws)
         if facing is not None:
@@ -379,7 +455,7 @@ class Placer:
             if fitting is None:
                 raise Rejected(NOT_FIT)
             yaw = fitting
-        objects = tuple([tuple([move.object_id for move in leaf.moves]) for leaf in program.leaves])
+        objects = tuple([program.stops(leaf) for leaf in range(len(program.leaves))])
         if look is not None:
             look(Routes(start, yaw, objects, tuple(leaves), self.tau))
         walks = [self._follower.follow(start, yaw, found.route.stops) for found in leaves]

@@ -213,6 +213,11 @@ class _Try:
         return frozenset(member.program for member in self.members)
 
     @cached_property
+    def has_leads(self) -> bool:
+        """Whether they have leads."""
+        return any(branch.lead is not None for branch in self.members[0].program.branches)
+
+    @cached_property
     def gold(self) -> int:
         """Index of the gold leaf of the first of them."""
         return self.members[0].gold
@@ -274,6 +279,7 @@ class _Filling:
         self._groups_wanted, self._groups = groups, 0
         self._taken: Counter[InstructionCell] = Counter()
         self._golds: defaultdict[InstructionCell, Counter[int]] = defaultdict(Counter)
+        self._led: Counter[InstructionCell] = Counter()
         self._labels: Counter[str] = Counter()
         self._seen: set[Program] = set()
         self._changes = 0
@@ -340,6 +346,8 @@ class _Filling:
         cell = one.cell
         if self._is_full(cell):
             return "quota_full"
+        if cell is not None and one.has_leads and self._led[cell] >= self._supply.leads_of(cell):
+            return "quota_full"
         if cell is not None and self._golds[cell][one.gold] >= _golds_of_each(cell):
             return "gold_leaf_full"
         if any(self._labels[label] + count > most_of_label for label, count in one.targets.items()):
@@ -384,7 +392,11 @@ class _Filling:
             most, taken = _golds_of_each(cell), self._golds[cell]
             golds = [k for k in range(SHAPES[cell.category].leaves) for _ in range(most - taken[k])]
             count = math.ceil(DRAWN_PER_PLACE * (cell.count - self._taken[cell]))
-            found = [[one] for one in self._supply.more(cell, count, golds, self._lacking(cell))]
+            lacking, moves = self._supply.leads_of(cell) - self._led[cell], self._lacking(cell)
+            drawn: list[Candidate] = []
+            if lacking > 0:
+                drawn = self._supply.more(cell, math.ceil(DRAWN_PER_PLACE * lacking), golds, moves, leads=True)
+            found = [[one] for one in drawn or self._supply.more(cell, count, golds, moves)]
         for members in found:
             one = _Try(members)
             self._tries.append(one)
@@ -488,6 +500,7 @@ class _Filling:
                 self._group_moves[one.members[0].program.category][n] += by * count * one.count
         else:
             self._taken[one.cell] += by
+            self._led[one.cell] += by * one.has_leads
             self._golds[one.cell][one.gold] += by
             for n, count in one.moves:
                 self._moves[one.cell][n] += by * count

@@ -113,11 +113,12 @@ class Leaves:
 
     Attributes
     ----------
-    moves : (m,) the objects of each leaf's stops, the last one its goal, of all leaves
-    first : (l + 1,) where each of the l leaves begins
+    moves : (m,) the targets of each leaf's stops, leads first, the last one its goal, of all leaves
+    first : (l + 1,) where each of the l leaves begins; leads : (l,) number of its leads
     """
 
-    def __init__(self, leaves: Sequence[Sequence[int]]) -> None:
+    def __init__(self, leaves: Sequence[Sequence[int]], leads: Sequence[int] | None = None) -> None:
+        self.leads = np.array(leads or [0] * len(leaves), np.int64)
         self.ends = list(accumulate(map(len, leaves), initial=0))
         self.moves = np.array([move for leaf in leaves for move in leaf], np.int64)
         self.first = np.array(self.ends, np.int64)
@@ -181,7 +182,7 @@ class Starts:
         found = np.empty(len(self.positions), np.int64)
         while True:
             count, outcome = possible_starts(
-                self._mesh, self._places, self._known, leaves.moves, leaves.first, bounds, found
+                self._mesh, self._places, self._known, leaves.moves, leaves.first, leaves.leads, bounds, found
             )
             if outcome != FULL:
                 return found[:count] if outcome == FITS else UNMET[outcome]

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from condvln.episodes.candidates import Candidate, CandidateSupply, draw_candidates
 from condvln.episodes.goals import blocked_footprints, scene_goals, wide_islands
 from condvln.episodes.graph_placing import GraphPlacer, NotOnGraph, viewpoint_stops
+from condvln.episodes.leads import LeadPlaces
 from condvln.episodes.looking import LookingPaths
 from condvln.episodes.observability import Observer
 from condvln.episodes.placing import Placer, reachable_stops
@@ -213,9 +214,9 @@ def place_programs(
     facts : what text may state about pairs of objects, by room id
     """
     pathfinder, placers = walkable.pathfinder, list[Placer]()
+    obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
 
     def reachable(named: frozenset[str]) -> Stops:
-        obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
         sight = walkable.view, Recognition.of(places, rules)
         points = scene_goals(scene, pathfinder, places, goals, obstacles, sight, named)
         placer = Placer(
@@ -237,7 +238,10 @@ def place_programs(
         scene, facts, bits, instructions, sampling, seed, stops=reachable, preamble=preamble, sightings=sightings
     )
     (placer,) = placers
-    observer = Observer(scene, walkable.view, pathfinder, places, rules, placer.obstacles, sightings=sightings)
+    observer = Observer(scene, walkable.view, pathfinder, places, rules, obstacles, sightings=sightings)
+    looking = LookingPaths(scene, walkable.view, pathfinder, places, rules, observer)
+    if any(map(sampler.leads_of, instructions.wanted)):
+        placer.leads = LeadPlaces(scene, pathfinder, observer, places, looking.places, placer.starts)
     pool = fill_pool(
         CandidateSupply(sampler),
         placer,
@@ -247,7 +251,7 @@ def place_programs(
         observer,
         instructions.counterfactual_groups,
         lambda category: (sampling.move_shares(category), sampling.drawn_move_shares(category)),
-        LookingPaths(scene, walkable.view, pathfinder, places, rules, observer),
+        looking,
     )
     pool.reject_collisions(scene.scene_id)
     return PlacedPrograms(pool, sampler.rejections)

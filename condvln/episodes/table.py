@@ -76,6 +76,7 @@ def _placement(scene_id: str, episode: PooledEpisode) -> Row:
         "n_leaves": len(program.leaves),
         "gold_label": stated.goal.label,
         "moves": len(stated.moves),
+        "leads": len(program.leads(gold)),
         "start_position": _points(placement.start[None])[0],
         "start_rotation": dict(zip("xyzw", yaw_quaternion(placement.yaw), strict=True)),
         "start_heading_degrees": heading_degrees(placement.yaw),

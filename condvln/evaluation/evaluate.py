@@ -30,6 +30,7 @@ AXES: Final = (
     "composition",
     "observability",
     "moves",
+    "leads",
     "route",
     "words",
 )

@@ -66,7 +66,7 @@ class Task:
     ----------
     episode_id : the id in files, an integer as decimal text; episode_hash : the hash of its content
     axes : the episode's groups in the tables: source, scene, category, depth, chain, composition, observability,
-        moves, and the classes of the route's length and of the number of words
+        moves, leads, and the classes of the route's length and of the number of words
     reference : (r, 3) dense locations of the gold route
     looking : None where the format has no headings, so that nothing can be looked at
     success_distance : τ, metres
@@ -138,6 +138,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None, looking: Poin
         "composition": row.composition,
         "observability": observability_class(row.observability, row.evidence_in_view),
         "moves": row.moves,
+        "leads": row.leads,
         "route": route_class(row.route_length),
         "words": words_class(row.words),
     }

@@ -59,6 +59,7 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
         "approximate": row["observability_approximate"],
         "evidence": [dict(one) for one in row["evidence"] or ()],
         "moves": row["moves"],
+        "leads": row["leads"],
         "words": row["words"],
         "text": row["instruction_text"],
         "clauses": clauses(row["instruction_text"], program),

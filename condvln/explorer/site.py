@@ -243,7 +243,7 @@ def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> 
 
 NAMED: Final = ("split", "source", "category", "composition", "observability")
 """Columns of names. A null is the name "unknown"."""
-NUMBERS: Final = ("depth", "chain", "moves", "words", "route_length", "geodesic_distance")
+NUMBERS: Final = ("depth", "chain", "moves", "leads", "words", "route_length", "geodesic_distance")
 UNKNOWN: Final = "unknown"
 
 

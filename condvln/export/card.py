@@ -30,6 +30,7 @@ _AXES: Final = (
     "composition",
     "observability",
     "moves",
+    "leads",
     "route",
     "words",
     "success_distance",

@@ -278,6 +278,7 @@ def _row(
         "n_leaves": len(program.leaves),
         "gold_label": program.leaves[gold].goal.label,
         "moves": len(program.leaves[gold].moves),
+        "leads": 0,
         "start_position": start.tolist(),
         "start_rotation": list(yaw_quaternion(placement.yaw)),
         "start_heading_degrees": heading_degrees(placement.yaw),

@@ -49,8 +49,8 @@ FORWARD: Final = 1
 
 _INFO: Final = (
     "geodesic_distance", "route_length", "subgoals", "success_distance", "max_steps", "category", "depth", "chain",
-    "composition", "observability", "evidence_in_view", "observability_approximate", "moves", "words",
-    "instruction_id", "group_id", "episode_hash", "start_heading_degrees", "navmesh_sha256",
+    "composition", "observability", "evidence_in_view", "observability_approximate", "moves", "leads",
+    "words", "instruction_id", "group_id", "episode_hash", "start_heading_degrees", "navmesh_sha256",
 )  # fmt: skip
 """Keys of an episode's ``info``, in the order of the files."""
 

@@ -253,6 +253,7 @@ class ExportWriter:
             ("chain", SHAPES[category].chain),
             ("observability", observability_class(row["observability"], row["evidence_in_view"]) or "not told"),
             ("moves", row["moves"]),
+            ("leads", row["leads"]),
             ("route", route_class(row["route_length"])),
             ("words", words_class(row["words"])),
             ("success_distance", row["success_distance"]),

@@ -11,7 +11,7 @@ from typing import Final
 
 from condvln.instructions.condition_sampler import AskedStatement, ConditionSampler
 from condvln.instructions.degeneracy import GivenUp, outcomes
-from condvln.instructions.programs import composition
+from condvln.instructions.programs import composition, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
 from condvln.labels import Vocabulary
@@ -36,6 +36,7 @@ class WantedCell:
     draws : most draws of a candidate of one shape
     bearings : most egocentric statements of a program
     egocentric : whether conditions may be egocentric
+    leads : whether programs have leads
     """
 
     category: Category
@@ -46,6 +47,7 @@ class WantedCell:
     draws: int
     bearings: int
     egocentric: bool
+    leads: bool
 
 
 @dataclass(slots=True)
@@ -97,6 +99,7 @@ class CellDrawing:
         self._golds: Sequence[int] = range(self._leaves)
         self._dealt: list[int] = []
         self._move_sums = [*accumulate(wanted.move_shares)]
+        self.leads = wanted.leads
         self._gold = 0
         self._composition: Composition | None = None
         self.moves: tuple[int, ...] = ()
@@ -220,7 +223,7 @@ class CellDrawing:
             branches=SHAPES[wanted.category].branches,
             leaves=tuple([Leaf.model_construct(moves=tuple([name.ref for name in leaf])) for leaf in named]),
         )
-        return named, statements, program
+        return named, statements, with_leads(program) if self.leads else program
 
     def _name_stops(
         self, leaves: Sequence[Sequence[int]], rooms: Mapping[str, RoomRef], start_room: str | None, said: Said

@@ -62,6 +62,7 @@ class _GrammarWriter:
             rules.append(f"there: {self._any(w.slots['there'])}")
         if w.lying:
             rules.append(f"_lying: {self._any([w.lying])}")
+        rules.append(f"_and: {self._any(w.connectives['and'])}")
         rules += self._answers()
         rules += [f"{rule_of(predicate)}: {self._any(phrases)}" for predicate, phrases in w.predicates.items()]
         rules += [f"{rule_of(name)}: {self._any(words.values())}" for name, words in w.superlatives.items()]
@@ -140,7 +141,7 @@ class _GrammarWriter:
         if isinstance(piece, Slot):
             if piece.bare:
                 return "bare_moves"
-            return "moves" if piece.form == "leaf" else piece.form
+            return {"leaf": "moves", "see": "(see | led)"}.get(piece.form, piece.form)
         return " ".join(PUNCTUATION.get(token) or self._terminal(token) for token in _TOKEN.findall(piece.lower()))
 
     def _any(self, texts: Iterable[str]) -> str:

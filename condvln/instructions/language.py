@@ -51,7 +51,7 @@ SLOTS: Final = (
     "see", "check", "for", "look", "look_at", "it_is", "it_is_not", "yes_one", "no_one", "yes_it", "no_it",
     "has", "has_no", "to",
     "also", "nor", "also_a", "there_also", "same_place",
-    "go", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
+    "go", "once", "then", "last", "second", "in", "of", "of_anchor", "there", "with", "scope",
     "facing",
 )  # fmt: skip
 """Phrase slots that every voice has, besides one per predicate."""
@@ -119,6 +119,8 @@ class Template:
     restated : indices of the conditions that are stated more than `MOST_STATED` times, which wearies if they are long
     paired : indices of the conditions that are denied as "neither a lamp nor a bed", so that each needs an article
     leading : indices of the leaves that are said before their condition ("go to the lamp if …"); they have one stop
+    stated : form in which each condition is first said. A lead to the room of any condition but the first one needs a
+        request to look: "if not, go to the kitchen and see if …"
     is_choosy : whether some programs can't be worded by it: those with several stops in `leading`, or without articles
         in `paired`
     parts : for each part between two marks, the number of its own words, and its slots: whether it is a leaf, its
@@ -134,9 +136,17 @@ class Template:
     restated: frozenset[int] = frozenset()
     paired: frozenset[int] = frozenset()
     leading: frozenset[int] = frozenset()
+    stated: Mapping[int, Form] = field(default_factory=dict, hash=False)
     is_choosy: bool = False
     parts: tuple[tuple[int, tuple[tuple[bool, int, int], ...]], ...] = ()
     steps: tuple[int, ...] = ()
+
+    def allows(self, leads: Sequence[bool]) -> bool:
+        """Return whether the template has a place for the leads of a program: `leads` says which conditions have one,
+        the first condition first.
+        """
+        later = [self.stated[k] for k, led in enumerate(leads) if led and k > 0]
+        return not (leads[0] and self.leading) and all(form == "see" for form in later)
 
     @property
     def length(self) -> int:
@@ -425,6 +435,7 @@ def _template(
         restated=frozenset(k for k, count in stated.items() if count > MOST_STATED),
         paired=paired,
         leading=leading,
+        stated={slot.index: slot.form for slot in reversed(slots) if slot.form in _ASKING},
         is_choosy=bool(paired or leading),
         parts=_parts(pieces),
         steps=tuple(accumulate(ends, initial=0)),

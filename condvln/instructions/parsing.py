@@ -13,13 +13,14 @@ from lark.exceptions import LarkError, UnexpectedInput
 from condvln.instructions.grammar_source import ANSWERS, grammar_source, rule_of
 from condvln.instructions.language import Language, Slot, Template, language
 from condvln.instructions.predicates import PREDICATES
-from condvln.instructions.text_reading import Mention, Phrase, Place, Reading, within_reach
+from condvln.instructions.text_reading import Mention, Phrase, Place, Reading, last_lead, within_reach
 from schemas.errors import FormatError
 from schemas.program import BEARINGS, SHAPES, Category, Predicate
 
 __all__ = ["parse", "parser", "reading_from_tree", "template_of"]
 
 Node = Tree[Token]
+_NAMES_ROOM = ("room", "same_room", "compound")
 
 
 @cache
@@ -88,15 +89,27 @@ class _TreeReader:
         self.category: Category = "simple"
         self.here = Mention(Slot("leaf", 0), 0)
         self.known: dict[str, set[Place]] = {}
+        self.leads: dict[int, Place] = {}
 
     def reading(self, tree: Node) -> Reading:
-        heading, scope, body = _parts(tree, "direction", "room", "body")
+        heading, scope, lead, body = _parts(tree, "direction", "room", "lead", "body")
         if heading is not None:
             name = str(_subtrees(heading)[0].data)
             heading = next(d for d in self.words.directions if f"direction_{rule_of(d)}" == name)
         self.scope = None if scope is None else self._place(scope)
+        if lead is not None:
+            self._go(_subtrees(lead)[0], 0)
+        # A lead to the only room that the text names is to the room of all that it names.
+        first = next(tree.find_data("led"), lead)
+        if first is not None and len([*tree.find_pred(lambda node: node.data in _NAMES_ROOM)]) == 1:
+            self.scope = self._place(_subtrees(first)[0])
         (sentences,) = _subtrees(body)
         return self._filled(sentences, *_named(body), heading)
+
+    def _go(self, room: Node, index: int) -> None:
+        """Keep the room of the lead to a condition."""
+        self.here = Mention(Slot("see", index), self.here.steps)
+        self.leads[index] = self._place(room)
 
     def _filled(self, sentences: Node, category: Category, number: int, heading: str | None) -> Reading:
         self.category = category
@@ -112,6 +125,9 @@ class _TreeReader:
             if slot.form == "neither":
                 self._check_pair(subtree, conditions, slot)
                 continue
+            if subtree.data == "led":
+                room, subtree = _subtrees(subtree)
+                self._go(room, slot.index)
             answers = subtree.data in ("yes", "no")
             if answers:
                 (subtree,) = _subtrees(subtree)
@@ -135,8 +151,9 @@ class _TreeReader:
                     phrase = replace(phrase, qualifier=before.qualifier)
                 phrase = replace(phrase, room=before.room)
                 self.last_room = None
-            elif before is None and phrase.room is None and phrase.definite:
-                phrase = replace(phrase, room=self.asked_room)
+            elif before is None and phrase.room is None:
+                led = last_lead(category, slot.index, self.leads)
+                phrase = replace(phrase, room=led or (self.asked_room if phrase.definite else None))
             if conditions.setdefault(slot.index, phrase) != phrase:
                 raise FormatError(f"the text names one condition as {conditions[slot.index]} and as {phrase}")
             self.asked_room = phrase.room
@@ -147,6 +164,7 @@ class _TreeReader:
             conditions=tuple(conditions[k] for k in range(len(shape.branches))),
             leaves=tuple(leaves[k] for k in range(shape.leaves)),
             heading=heading,
+            leads=tuple(self.leads.get(k) for k in range(len(shape.branches))),
         )
 
     def _check_pair(self, tree: Node, conditions: Mapping[int, Phrase], slot: Slot) -> None:

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from condvln.labels import vocabulary
 from schemas.episode import Composition
-from schemas.program import Branch, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import SHAPES, Branch, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from schemas.tables import INSTRUCTIONS
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "program_key",
     "program_tree",
     "programs_from_table",
+    "with_leads",
 ]
 
 
@@ -36,11 +37,14 @@ ID_LENGTH = 20
 
 def program_key(program: Program) -> str:
     """Return the SHA-256 of the program's canonical JSON, truths and witnesses included: equal keys mean equal
-    programs. Whether a condition is definite follows from the scene, and is left out.
+    programs. Whether a condition is definite follows from the scene, and is left out; so is a lead where there is none.
     """
     document = program.model_dump()
     for condition in document["conditions"]:
         del condition["definite"]
+    for branch in document["branches"]:
+        if branch["lead"] is None:
+            del branch["lead"]
     return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
 
@@ -62,7 +66,7 @@ def composition(program: Program) -> Composition:
     named.update([move.room.room_id for leaf in program.leaves for move in leaf.moves])
     if len(named) == 1:
         return "C0"
-    for condition, below_then, below_else in _sides(program.branches):
+    for condition, below_then, below_else in _sides(SHAPES[program.category].branches):
         room = asked[condition]
         then, otherwise = {goals[k] for k in below_then}, {goals[k] for k in below_else}
         if room not in then and room not in otherwise and then.isdisjoint(otherwise):
@@ -87,9 +91,22 @@ def _sides(branches: tuple[Branch, ...]) -> tuple[tuple[int, tuple[int, ...], tu
     return tuple((one.condition, then, otherwise) for one, (then, otherwise) in zip(branches, below, strict=True))
 
 
-def oracle_linear(program: Program) -> tuple[ObjectRef, ...]:
-    """Return the moves of the gold leaf only: its waypoints in order, then its goal."""
-    return program.leaves[program.gold_leaf()].moves
+def oracle_linear(program: Program, leaf: int | None = None) -> tuple[RoomRef | ObjectRef, ...]:
+    """Return the stops of a leaf, the gold one if None: leads on the way to it, then its waypoints, then its goal."""
+    number = program.gold_leaf() if leaf is None else leaf
+    return (*program.leads(number), *program.leaves[number].moves)
+
+
+def with_leads(program: Program) -> Program:
+    """Return `program` with a lead on each branch whose condition is about another room than the one before it; at
+    first, about another room than that of the start.
+    """
+    here, branches = {0: program.start_room}, list[Branch]()
+    for at, branch in enumerate(program.branches):  # a branch comes before those below it
+        room = program.conditions[branch.condition].room
+        branches.append(branch.model_copy(update={"lead": None if room.room_id == here[at] else room}))
+        here[branch.then] = here[branch.otherwise] = room.room_id
+    return program.model_copy(update={"branches": tuple(branches)})
 
 
 def instruction_table(
@@ -116,6 +133,7 @@ def instruction_table(
         "n_leaves": [len(program.leaves) for program in found],
         "gold_leaf": golds,
         "moves": [len(program.leaves[gold].moves) for program, gold in zip(found, golds, strict=True)],
+        "leads": [len(program.leads(gold)) for program, gold in zip(found, golds, strict=True)],
         "conditions": [one["conditions"] for one in documents],
         "branches": [one["branches"] for one in documents],
         "leaves": [one["leaves"] for one in documents],
@@ -159,7 +177,8 @@ def program_tree(program: Program) -> str:
 
 def _branch(program: Program, at: int, indent: str, gold: int) -> Iterator[str]:
     branch = program.branches[at]
-    yield f"{indent}IF {_condition(program.conditions[branch.condition])}"
+    lead = "" if branch.lead is None else f"GO TO {_room(branch.lead)}, "
+    yield f"{indent}{lead}IF {_condition(program.conditions[branch.condition])}"
     for word, target in (("THEN", branch.then), ("ELSE", branch.otherwise)):
         if target >= 0:
             yield f"{indent}{word}"

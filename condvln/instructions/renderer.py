@@ -35,6 +35,8 @@ LOOK_SHARE: Final = 0.4
 RESTATE_SHARE: Final = 0.5
 """Share of answers before another claim that repeat the noun: "if there's a lamp and also a bed", not "if there is one
 and there's also a bed"."""
+ONCE_SHARE: Final = 0.4
+"""Share of leads at the beginning of a request that say "once you're in the kitchen, look for a lamp"."""
 HAS_SHARE: Final = 0.35
 """Share of texts that say "the kitchen has a lamp", not "there's a lamp in the kitchen"."""
 COMPOUND_SHARE: Final = 0.6
@@ -93,6 +95,9 @@ class Renderer:
         self.words, self.voice, self.draws, self.short = words, voice, draws, short
         self.naming = Naming()
         self.scope: RoomRef | None = None
+        self._leads: dict[int, RoomRef] = {}
+        self._led_to: frozenset[int] = frozenset()  # conditions in whose room one is by a lead
+        self._inside: str | None = None  # the room of the condition that is being worded, if one is there by a lead
         self.heard = Heard()
         self._chosen: dict[str, str] = {}
         self._turns: dict[str, int] = {}
@@ -112,12 +117,49 @@ class Renderer:
         naming = self.naming = Naming.of(program)
         self._category = program.category
         self._compounds = bool(self.words.compounds[0]) and self._chance(COMPOUND_SHARE)
-        opening = self._scope(naming.rooms)
-        templates = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
-        choice = TemplateChoice(program, naming, self.words, scoped=bool(opening))
+        self._leads = {branch.condition: branch.lead for branch in program.branches if branch.lead is not None}
+        self._led_to = frozenset(k for k, lead in enumerate(program.last_leads) if lead is not None)
+        opening = "" if 0 in self._leads else self._scope(naming.rooms)
+        templates = self._templates(program)
+        scoped = bool(opening) or (0 in self._leads and len(naming.rooms) == 1)
+        choice = TemplateChoice(program, naming, self.words, scoped=scoped)
         self._template = self.draws.choice(templates) if self.short else choice.draw(templates, self.draws)
+        if 0 in self._leads and self._template.stated[0] != "see":
+            self._here = Mention(Slot("see", 0), 0)
+            opening = f"{self._in_turn('go', self._usable('go'))} {self._led(0)}. "
         body = self._filled_in(self._template, program).replace(" , ", ", ")
         return sentences(self.words, f"{opening}{body[:1].lower()}{body[1:]}" if opening else body)
+
+    def _templates(self, program: Program) -> Sequence[Template]:
+        """Return the templates of this text's voice that have a place for the program's leads; of all voices if the
+        voice has none.
+        """
+        own = (self.voice.short_templates if self.short else self.voice.templates)[program.category]
+        led = [k in self._leads for k in range(len(program.conditions))]
+        fit = [template for template in own if template.allows(led)]
+        if all(template.is_choosy for template in fit):
+            others = self.words.templates[program.category]
+            fit += [template for template in others if template.allows(led) and not template.is_choosy]
+        return fit
+
+    def _led(self, index: int) -> str:
+        """Return the room of the lead to a condition, which then does not name it, as a text with no other room."""
+        lead = self._leads.pop(index)
+        said = self._room(lead)
+        self._inside = lead.room_id
+        self.scope = lead if len(self.naming.rooms) == 1 else None
+        return said
+
+    def _lead(self, index: int) -> str:
+        """Return the words of a lead before a request to look: "go to the kitchen and ", "once you're in the kitchen,";
+        empty if the condition has no lead.
+        """
+        if index not in self._leads:
+            return ""
+        if isinstance(self._template.pieces[0], Slot) and not index and self._chance(ONCE_SHARE):
+            return f"{self._phrase('once')} {self._led(index)}, "
+        go = self._in_turn("go", self._usable("go"))
+        return f"{go} {self._led(index)} {self.words.connectives['and'][0]} "
 
     def _filled_in(self, template: Template, program: Program) -> str:
         texts: list[str] = []
@@ -131,6 +173,7 @@ class Renderer:
             self.heard.gapped = False
             self._here = Mention(piece, template.steps[k])
             said = self._slot(piece, program)
+            self._inside = None
             if self.heard.gapped:
                 texts[-1] = texts[-1].removeprefix(",")  # "if there's a lamp but no bed"
             texts.append(said)
@@ -166,10 +209,10 @@ class Renderer:
         return text
 
     def _elided(self, room: RoomRef) -> bool:
-        """Return whether nouns are said without their room. This is so if `room` has no name, or if the whole text is
-        about one room.
+        """Return whether nouns are said without their room. This is so if `room` has no name, if the whole text is
+        about one room, or if a lead has sent one there.
         """
-        return self.scope is not None or room.label not in self.words.rooms
+        return self.scope is not None or room.room_id == self._inside or room.label not in self.words.rooms
 
     def _slot(self, slot: Slot, program: Program) -> str:
         if slot.form == "leaf":
@@ -214,6 +257,8 @@ class Renderer:
             self.heard.denied_behind = (slot.index if self.heard.answer[0] else -1, self.heard.answer[0])
         again = slot.index in self.heard.asked
         self.heard.asked.add(slot.index)
+        if not again and slot.index in self._led_to - self._leads.keys() and not self.naming.is_shared(condition):
+            self._inside = condition.room.room_id
         self.heard.beside = not again and self._is_in_room_asked(condition)
         joined = form in _JOINED
         # "If there's a bed in the bedroom and a bath in the bathroom, look at the lamp": in which room?
@@ -229,7 +274,7 @@ class Renderer:
         if form == "question":
             return self._question(condition)
         if form == "see":
-            return self._see(condition, slot.index)
+            return f"{self._lead(slot.index)}{self._see(condition, slot.index)}"
         return self._clause(condition, asserted=asserted, joined=joined)
 
     def _is_doubtful(self, condition: Condition, index: int) -> bool:
@@ -476,7 +521,7 @@ class Renderer:
 
     # -- places --------------------------------------------------------------------------------------------------------
 
-    def moves(self, stops: Sequence[ObjectRef], *, bare: bool = False) -> str:
+    def moves(self, stops: Sequence[RoomRef | ObjectRef], *, bare: bool = False) -> str:
         """Return the stops of one leaf as one imperative; with `bare` without its verb, as in "to the lamp"."""
         self.heard.there = False
         verb = self._phrase("to") if bare else self._in_turn("go", self._usable("go"))
@@ -484,15 +529,18 @@ class Renderer:
         for k, (before, stop) in enumerate(pairwise(stops), start=1):
             joint = "second" if len(stops) == 2 else "last" if k == len(stops) - 1 else "then"
             # After a stop with an egocentric direction, or one that is known from before, no room was named.
-            same_room = stop.room.room_id == before.room.room_id == self.heard.room and not self.naming.is_shared(stop)
+            same_room = isinstance(stop, ObjectRef) and not self.naming.is_shared(stop)
+            same_room = same_room and _room_of(stop).room_id == _room_of(before).room_id == self.heard.room
             texts.append(f"{self._phrase(joint)} {self._stop(stop, behind=True, same_room=same_room)}")
         return "".join(texts)
 
-    def _stop(self, ref: ObjectRef, *, behind: bool = False, same_room: bool = False) -> str:
+    def _stop(self, ref: RoomRef | ObjectRef, *, behind: bool = False, same_room: bool = False) -> str:
         """Return the words for a stop; its room is left out if the stop before it is in the same room.
 
         behind : whether it comes after another stop
         """
+        if isinstance(ref, RoomRef):
+            return self._room(ref)
         named = self._noun(ref)
         noun, kind, own_room = self.words.definite(named), "_of", False
         if ref.qualifier is not None and ref.qualifier.predicate in SUPERLATIVES:
@@ -572,6 +620,10 @@ class Renderer:
         if is_known:
             return self.words.that(noun)
         return f"{phrase} {self._phrase('with')} {self.words.definite(self.words.noun(room.anchor_label, room.label))}"
+
+
+def _room_of(stop: RoomRef | ObjectRef) -> RoomRef:
+    return stop if isinstance(stop, RoomRef) else stop.room
 
 
 @lru_cache

@@ -5,7 +5,8 @@ turns. An object that is the only one of its label in its room is definite ("if 
 is named by an object in it ("the bedroom with the desk") is "that bedroom" from then on, and a stop in the room named
 last is "there", in the same clause or in those after the condition that named it. A thing that the text has named with
 its room is later named without it. A condition always names its room, unless it is repeated. If everything is in one
-named room, the text names it once, at the beginning.
+named room, the text names it once, at the beginning. A lead opens the text ("Go to the kitchen. If there's a lamp, …")
+or is part of a request ("go to the kitchen and look for a lamp"); its condition does not name the room again.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from condvln.seeding import FewDraws, stable_hash
 from schemas.config import WordingConfig
 from schemas.config.constants import HEADING_TOLERANCE
 from schemas.errors import UsageError
-from schemas.program import ObjectRef, Program
+from schemas.program import ObjectRef, Program, RoomRef
 
 __all__ = [
     "HEADINGS",
@@ -138,7 +139,7 @@ def word_count(
 
 
 def render_moves(
-    moves: tuple[ObjectRef, ...], seed: int, instruction_id: str, wording: WordingConfig | str = "en"
+    moves: tuple[RoomRef | ObjectRef, ...], seed: int, instruction_id: str, wording: WordingConfig | str = "en"
 ) -> str:
     """Return a sequence of moves as one sentence: the text of an oracle-linear twin."""
     said = _wording(wording)

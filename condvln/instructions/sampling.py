@@ -56,6 +56,8 @@ def counterfactual_group(
         twin = condition_sampler.twin(program, index, draws)
         if twin is not None:
             other = flipped(program, index, twin)
+            if program.leads(leaf) != program.leads(program.gold_leaf()):
+                continue  # exchanged leaves would have other routes
             group = (
                 program,
                 other,
@@ -103,6 +105,8 @@ def group_id(family: str, scene_id: str, group: Group) -> str:
     return hashlib.sha256(f"{family}\x1f{scene_id}\x1f{keys}".encode()).hexdigest()[:ID_LENGTH]
 
 
+LEAD_FACTOR: Final = 2
+"""Factor on the candidates with leads, since placing rejects more of them."""
 TRIES_PER_CANDIDATE: Final = 2
 """Number of shapes tried per wanted candidate, so that a scene reaches its number although some shapes are
 impossible.
@@ -141,7 +145,7 @@ class ProgramSampler:
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self.scene, self.wanted, self.sampling, self.seed = scene, wanted, sampling, seed
-        self.preamble = preamble
+        self.preamble, self._placed = preamble, placed
         self._sayable = sayable(wanted.directions, placed=placed)
         self.words = words
         self._reasons: dict[InstructionCell | None, Counter[str]] = {}
@@ -237,12 +241,12 @@ class ProgramSampler:
                 for program in self.programs(cell, drawing, self.sampling.candidates(cell)):
                     yield cell, program
 
-    def drawing(self, cell: InstructionCell, seen: Seen) -> CellDrawing | None:
+    def drawing(self, cell: InstructionCell, seen: Seen, *, leads: bool = False) -> CellDrawing | None:
         """Return a drawing of at most ``sampling.candidates(cell)`` candidates of a cell, for `programs`. Return None,
         and count the reason, if the scene has none. The drawings of the cells of a category share what is `seen`, so
         that all of their programs are distinct.
         """
-        category, wanted = cell.category, self.sampling.candidates(cell)
+        category, wanted = cell.category, self.sampling.candidates(cell) * (LEAD_FACTOR if leads else 1)
         reasons = self._reasons.setdefault(cell, Counter())
         if not wanted:
             return None
@@ -253,8 +257,9 @@ class ProgramSampler:
             reasons["no_targets"] += 1
             return None
         purpose = ("programs", category, cell.name) if cell.drawn else ("programs", category)
+        purpose = (*purpose, "leads") if leads else purpose
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
-        kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category))
+        kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category), leads=leads)
         return self._drawing(kind, wanted, draws, seen)
 
     def programs(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Program]:
@@ -280,7 +285,7 @@ class ProgramSampler:
         shapes, stops, names = most * TRIES_PER_CANDIDATE, self.stop_sampler, self.stop_names
         return CellDrawing(wanted, most, shapes, draws, seen, stops, names, conditions, self.words)
 
-    def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float]) -> WantedCell:
+    def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float], *, leads: bool = False) -> WantedCell:
         """Return what is wanted of the candidates of a cell.
 
         moves : shares of leaves with 1, 2, … moves, unless the cell says their number
@@ -295,7 +300,13 @@ class ProgramSampler:
             bearings=self.sampling.bearings,
             # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
             egocentric=cell.observability != "O0f",
+            leads=leads,
         )
+
+    def leads_of(self, cell: InstructionCell) -> float:
+        """Return the share of a cell's programs that shall have leads: none where there is one room, or no navmesh."""
+        wanted = self.wanted.leads if cell.leads is None else float(cell.leads == "with")
+        return 0.0 if self.scene.single_room or not self._placed else wanted
 
     def _worded(self, program: Program, words: tuple[int, int]) -> None:
         """Raise GivenUp if the text of `program` has not the number of words that a cell asks for."""
@@ -326,6 +337,7 @@ class ProgramSampler:
                 drawings[cell] = self._drawing(kind, 1, draws, Seen(keys=None))
             drawing = drawings[cell]
             drawing.begin(draws.index(SHAPES[cell.category].leaves))
+            drawing.leads = k < self.leads_of(cell) * wanted  # the first groups that fit are taken
             while found := drawing.draw(1, reasons):
                 try:
                     group = self._group(found[0], seen, draws)

@@ -6,6 +6,7 @@ Text and program agree if ``reading_of(program, …) == parse(text, …)``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Final, NamedTuple
@@ -13,7 +14,7 @@ from typing import Final, NamedTuple
 from condvln.instructions.language import Slot, language
 from schemas.program import SHAPES, Category, Condition, ObjectRef, Predicate, Program, RoomRef
 
-__all__ = ["MOST_STEPS", "Mention", "Phrase", "Place", "Reading", "reading_of", "within_reach"]
+__all__ = ["MOST_STEPS", "Mention", "Phrase", "Place", "Reading", "last_lead", "reading_of", "within_reach"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,8 @@ class Reading:
     conditions: tuple[Phrase, ...]
     leaves: tuple[tuple[Phrase, ...], ...]
     heading: str | None = None
+    leads: tuple[Place | None, ...] = ()
+    """by condition, the room to go to before it is decided"""
 
 
 def reading_of(program: Program, heading: str | None = None) -> Reading:
@@ -58,6 +61,7 @@ def reading_of(program: Program, heading: str | None = None) -> Reading:
         conditions=tuple(_phrase(condition) for condition in program.conditions),
         leaves=tuple(tuple(_phrase(move) for move in leaf.moves) for leaf in program.leaves),
         heading=heading,
+        leads=tuple(None if branch.lead is None else _place(branch.lead) for branch in program.branches),
     )
 
 
@@ -97,6 +101,12 @@ def within_reach(category: Category, earlier: Mention, later: Mention) -> bool:
         return later.slot == earlier.slot
     conditions, leaves = _paths(category)
     return earlier.slot.index in (leaves if later.slot.form == "leaf" else conditions)[later.slot.index]
+
+
+def last_lead(category: Category, condition: int, leads: Mapping[int, Place]) -> Place | None:
+    """Return the room to which the last of the leads sends one before a condition is decided; None if none does."""
+    led = _paths(category)[0][condition] & leads.keys()
+    return leads[max(led)] if led else None
 
 
 @cache

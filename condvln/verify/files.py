@@ -239,6 +239,7 @@ class UnplacedText:
     chain: int
     composition: str
     moves: int
+    leads: int
     words: int
     gold_leaf: int
     instruction_text: str
@@ -251,14 +252,15 @@ class UnplacedText:
     def of(cls, source: str, row: Mapping[str, Any]) -> UnplacedText:
         """Return a row of the table as a text. Raises ValidationError if its program is none."""
         program = {name: row[name] for name in ("category", "conditions", "branches", "leaves")}
-        names = ("instruction_id", "group_id", "scene_id", "category", "depth", "chain", "composition", "moves")
+        names = ("instruction_id", "group_id", "scene_id")
+        axes = ("category", "depth", "chain", "composition", "moves", "leads")
         return cls(
             source=source,
             words=row["words"],
             gold_leaf=row["gold_leaf"],
             instruction_text=row["text"],
             program=Program.model_validate(program),
-            **{name: row[name] for name in names},
+            **{name: row[name] for name in (*names, *axes)},
         )
 
 

@@ -37,6 +37,7 @@ from condvln.scene import Scene, SceneObject
 from condvln.scene.scene import SceneGeometry
 from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.footprints import Obstacles, Point, ground_points
+from condvln.verify.program_check import leads_to, sharing
 from condvln.verify.referents import SceneReferents
 from condvln.verify.sight import Eyes, Sight, Sought, absence_range
 from condvln.verify.standpoint import yaw_of
@@ -102,6 +103,7 @@ def check_observability(
     must already have been checked.
     """
     _check_stops(rows, certificates, sight, eye_height)
+    _check_leads(rows, certificates, sight, referents, eye_height)
     asked = []
     starts: dict[Point, Eyes] = {}
     for row, certificate in zip(rows, certificates, strict=True):
@@ -117,24 +119,35 @@ def check_observability(
     # Eyes on the shared path, in one or two variants; none if everything is visible at the start.
     walking = [not all(known) for known in at_start]
     ways = [
-        [Eyes(eyes_at(places, eye_height)) for places in stands([leaf.reference_path for leaf in one.row.leaves])]
-        if more
-        else []
+        _shared_ways(one, eye_height) if more else [list[Eyes]()] * len(one.proofs)
         for one, more in zip(asked, walking, strict=True)
     ]
     sight.look(
         (thing, eyes)
         for one, known, places in zip(asked, at_start, ways, strict=True)
-        for (_, proofs), at_once in zip(one.proofs, known, strict=True)
+        for (_, proofs), at_once, its in zip(one.proofs, known, places, strict=True)
         if not at_once
         for way in proofs
         for thing in way
-        for eyes in places
+        for eyes in its
     )
     for one, known, places in zip(asked, at_start, ways, strict=True):
-        for (evidence, proofs), at_once in zip(one.proofs, known, strict=True):
-            _check(sight, one, evidence, proofs, [] if at_once else places)
-            _check_degrees(sight, one, evidence, proofs, [] if at_once else places, onlookers)
+        for (evidence, proofs), at_once, its in zip(one.proofs, known, places, strict=True):
+            _check(sight, one, evidence, proofs, [] if at_once else its)
+            _check_degrees(sight, one, evidence, proofs, [] if at_once else its, onlookers)
+
+
+def _shared_ways(one: _Asked, eye_height: float) -> list[list[Eyes]]:
+    """Return for each condition with recorded evidence the eyes on the way to it that its leaves share, in one or two
+    variants.
+    """
+    known: dict[tuple[int, ...], list[Eyes]] = {}
+    for evidence, _ in one.proofs:
+        leaves = tuple(sharing(one.row.program, evidence.condition))
+        if leaves not in known:
+            paths = [one.row.leaves[leaf].reference_path for leaf in leaves]
+            known[leaves] = [Eyes(eyes_at(places, eye_height)) for places in stands(paths)]
+    return [known[tuple(sharing(one.row.program, evidence.condition))] for evidence, _ in one.proofs]
 
 
 def sight_of(
@@ -180,14 +193,42 @@ def _check_stops(
     """Check that each stop's object is recognised from where an agent stops."""
     places: dict[tuple[str, Point], Eyes] = {}
     for row in rows:
-        for stop in stops_of(row.leaves):
+        for stop in _objects_of(row):
             if stop not in places:
                 places[stop] = Eyes(eyes_at(stop[1], eye_height))
     sight.look((("thing", name, 0.0), eyes) for (name, _), eyes in places.items())
     for row, certificate in zip(rows, certificates, strict=True):
-        stops = stops_of(row.leaves)
+        stops = _objects_of(row)
         unseen = sorted({name for name, at in stops if not sight.is_seen(("thing", name, 0.0), places[name, at])})
         certificate.holds("stop_seen", not unseen, "recognised from where one stops", unseen)
+
+
+def _objects_of(row: ManifestEpisode) -> list[tuple[str, Point]]:
+    """Return the stops and goals of all leaves at objects: not those at which leads end."""
+    rooms = {branch.lead.room_id for branch in row.program.branches if branch.lead is not None}
+    return [(name, at) for name, at in stops_of(row.leaves) if name not in rooms]
+
+
+def _check_leads(
+    rows: Sequence[ManifestEpisode],
+    certificates: Sequence[Certificate],
+    sight: Sight,
+    referents: SceneReferents,
+    eye_height: float,
+) -> None:
+    """Check that each condition with a lead can be decided from where the lead ends."""
+    asked: dict[tuple[Condition, Point], tuple[Proofs, Eyes]] = {}
+    told = []
+    for row, certificate in zip(rows, certificates, strict=True):
+        for leaf in row.leaves[: len(row.program.leaves)]:
+            for branch, stop in zip(leads_to(row.program, leaf.leaf), leaf.subgoals, strict=False):
+                key = row.program.conditions[branch.condition], stop.position
+                if key not in asked:
+                    asked[key] = proofs_of(key[0], referents, sight), Eyes(eyes_at(stop.position, eye_height))
+                told.append((certificate, key, f"condition {branch.condition}, leaf {leaf.leaf}"))
+    sight.look((thing, eyes) for proofs, eyes in asked.values() for way in proofs for thing in way)
+    for certificate, key, name in told:
+        certificate.holds("lead_seen", _known(sight, *asked[key]), "recognised", key[1], name)
 
 
 def stops_of(leaves: Sequence[EpisodeLeaf]) -> list[tuple[str, Point]]:

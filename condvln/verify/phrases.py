@@ -90,6 +90,35 @@ class PhraseReader(WordReader):
                 if self.is_mark(stop, ","):
                     yield stop + 1, room
 
+    def _led(self, at: int, ends: str) -> Iterator[tuple[int, Named]]:
+        """Parse a lead: "go to the kitchen." at the beginning of a text if `ends` is that mark; before a request "go to
+        the kitchen and" or "once you're in the kitchen,". Yield (end, room).
+        """
+        for slot in ("go", "once") if ends == "and" else ("go",):
+            for end, _, _ in self.of(at, slot):
+                for stop, room in self._rooms(end):
+                    if slot == "go" and ends == "and":
+                        yield from ((after, room) for after, _, _ in self.of(stop, "and"))
+                    elif self.is_mark(stop, "," if slot == "once" else ends):
+                        yield stop + 1, room
+
+    def _led_scope(self) -> Named | None:
+        """Return the room of the only lead of a text if the text names no other room: all that it names is there."""
+        parsed = self.furthest
+        named = [at for at in range(len(self.tokens)) if self._names_room(at)]
+        leads = {room for at in range(len(self.tokens)) for ends in (".", "and") for _, room in self._led(at, ends)}
+        self.furthest = parsed
+        return leads.pop() if len(named) == 1 == len(leads) else None
+
+    def _names_room(self, at: int) -> bool:
+        """Return whether the words from `at` on name a room, not a thing of a longer name: "the kitchen cabinet"."""
+        for article in ("the", "that"):
+            for start, _, classes in self.of(at, article):
+                rooms = [end for end, _ in self._agreeing(start, "room", classes)]
+                if rooms and max(rooms) > max((end for end, _ in self._agreeing(start, "noun", classes)), default=0):
+                    return True
+        return False
+
     def _agreeing(self, at: int, kind: str, classes: frozenset[str]) -> Iterator[tuple[int, str]]:
         for end, label, own in self.of(at, kind):
             if own & classes:

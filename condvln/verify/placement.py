@@ -11,6 +11,7 @@ from itertools import chain, combinations, islice, pairwise, permutations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from condvln.navigation.follower import Follower, Length
@@ -18,10 +19,12 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.footprints import Obstacles, Point, Reach
+from condvln.verify.program_check import leads_to
 from condvln.verify.standpoint import yaw_of
-from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SNAP_TOLERANCE, WALL_DETOUR
+from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SINK, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
+from schemas.program import RoomRef
 
 __all__ = ["check_placement"]
 
@@ -87,6 +90,7 @@ class _Checker:
 
     def __init__(self, scene: Scene, pathfinder: Pathfinder, rules: VerifierRules, detour_at_goal: float) -> None:
         self._pathfinder, self._rules, self._detour_at_goal = pathfinder, rules, detour_at_goal
+        self._scene = scene
         self._single = scene.single_room
         self._success = rules.places.success(self._single)
         self._separation = rules.places.leaf_separation(self._single)
@@ -136,12 +140,25 @@ class _Checker:
         judged: dict[tuple[str, tuple[Point, ...], bool], list[Verdict]] = {}
         for row, certificate in zip(rows, certificates, strict=True):
             for k, leaf in enumerate(row.leaves):
-                targets = [(stop.object_id, (stop.position,), False) for stop in leaf.subgoals]
+                rooms = _lead_rooms(row, k) if k < len(row.program.leaves) else []
+                for j, (room, stop) in enumerate(zip(rooms, leaf.subgoals, strict=False)):
+                    inside = self._in_room(room.room_id, stop.position)
+                    certificate.holds("lead_place", inside, room.room_id, stop.position, f"leaf {k}")
+                    outside = j > 0 or not self._in_room(room.room_id, row.start_position)
+                    certificate.holds("lead_place", outside, "a start outside", row.start_position, f"leaf {k}")
+                targets = [(stop.object_id, (stop.position,), False) for stop in leaf.subgoals[len(rooms) :]]
                 for target in (*targets, (leaf.object_id, leaf.goals, True)):
                     if target not in judged:
                         judged[target] = self._judge(*target)
                     for fact, held, claimed, found in judged[target]:
                         certificate.holds(fact, held, claimed, found, f"leaf {k}")
+
+    def _in_room(self, room_id: str, place: Point) -> bool:
+        """Return whether a place is on the floor of a room."""
+        room = self._scene.room_of.get(room_id)
+        if room is None or room.polygon is None or abs(place[1] - room.floor_y) > SINK:
+            return False
+        return bool(shapely.make_valid(shapely.Polygon(room.polygon)).covers(shapely.Point(place[0], place[2])))
 
     def _judge(self, object_id: str, places: tuple[Point, ...], are_goals: bool) -> list[Verdict]:
         away, here = self._reach.around(object_id, places)
@@ -175,9 +192,11 @@ class _Checker:
             leaf, start = row.leaves[k], row.start_position
             stops = [stop.position for stop in leaf.subgoals]
             before = stops[-1] if stops else start
+            lead = stops[: self._leads(row, k)][-1:] or [start]
             asked += [(start, goal) for goal in leaf.goals]
             asked += [(start, stop) for stop in stops]
             asked += [(before, goal) for goal in leaf.goals]
+            asked += [(lead[0], goal) for goal in leaf.goals]
             legs += pairwise((start, *stops, _end(leaf)))
         metres = iter(self._metres(asked))
         lengths, counts, corners = self._pathfinder.path_corners(*np.array(legs).transpose(1, 0, 2))
@@ -185,10 +204,16 @@ class _Checker:
         routes = zip(lengths.tolist(), rounded, strict=True)
         for row, certificate, k in leaves:
             leaf = row.leaves[k]
-            sizes = (len(leaf.goals), len(leaf.subgoals), len(leaf.goals))
-            direct, passed, last = ([*islice(metres, size)] for size in sizes)
+            sizes = (len(leaf.goals), len(leaf.subgoals), len(leaf.goals), len(leaf.goals))
+            direct, passed, last, led = ([*islice(metres, size)] for size in sizes)
             own = [*islice(routes, len(leaf.subgoals) + 1)]
-            self._check_route(row.start_position, leaf, direct, passed, last, own, certificate, f"leaf {k}")
+            shortest = min(led) + sum(leg for leg, _ in own[: self._leads(row, k)])
+            self._check_route(row.start_position, leaf, direct, passed, last, shortest, own, certificate, f"leaf {k}")
+
+    @staticmethod
+    def _leads(row: ManifestEpisode, leaf: int) -> int:
+        """Return the number of leads on the way to a leaf."""
+        return len(_lead_rooms(row, leaf))
 
     def _check_route(
         self,
@@ -197,6 +222,7 @@ class _Checker:
         direct: list[float],
         passed: list[float],
         last: list[float],
+        shortest: float,
         legs: list[tuple[float, F64]],
         certificate: Certificate,
         name: str,
@@ -205,6 +231,7 @@ class _Checker:
 
         direct, passed : metres from the start to each goal and to each stop before it
         last : metres from the last stop before the goals to each goal
+        shortest : metres from the start past the leads to the nearest goal
         legs : the paths from the start through the stops to the goal at its end, each with its length and its corners
         """
         rules, least = self._rules.episodes, min(direct)
@@ -220,7 +247,7 @@ class _Checker:
         low, high = rules.range(self._single)
         certificate.holds("distance_range", low <= least <= high, (low, high), least, name)
         if not self._single:
-            most = rules.detour_factor * least + rules.detour_slack
+            most = rules.detour_factor * shortest + rules.detour_slack
             certificate.holds("detour", leaf.route_length <= most + MILLIMETRE, most, leaf.route_length, name)
         nearest = min([least, *passed])
         certificate.holds("start_apart", nearest > 2 * self._success, 2 * self._success, nearest, name)
@@ -282,8 +309,16 @@ def _objects(row: ManifestEpisode) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     """Return the numbers and objects of a row's leaves, as its leaves and as its program have them."""
     numbers = [leaf.leaf for leaf in row.leaves]
     objects = [[*(stop.object_id for stop in leaf.subgoals), leaf.object_id] for leaf in row.leaves]
-    moves = [[move.object_id for move in leaf.moves] for leaf in row.program.leaves]
+    moves = [
+        [*(room.room_id for room in _lead_rooms(row, k)), *(move.object_id for move in leaf.moves)]
+        for k, leaf in enumerate(row.program.leaves)
+    ]
     return (numbers, objects), ([*range(len(moves))], moves)
+
+
+def _lead_rooms(row: ManifestEpisode, leaf: int) -> list[RoomRef]:
+    """Return the rooms of the leads on the way to a leaf."""
+    return [branch.lead for branch in leads_to(row.program, leaf) if branch.lead is not None]
 
 
 def _lengths(follower: Follower, walks: Sequence[PlannedWalk]) -> list[Length]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
-from itertools import product
+from itertools import chain, product
 from typing import NamedTuple
 
 from condvln.verify.certificate import Certificate
@@ -14,9 +14,9 @@ from condvln.verify.files import UnplacedText
 from condvln.verify.words import words
 from schemas.config.constants import MOST_MOVES_OF_FOUR_LEAVES
 from schemas.evaluation import ManifestEpisode
-from schemas.program import SHAPES, Category, Condition, Program
+from schemas.program import SHAPES, Branch, Category, Condition, Program
 
-__all__ = ["check_program", "leaf_of"]
+__all__ = ["check_program", "leads_to", "leaf_of", "sharing", "tree_of"]
 
 
 def check_program(row: ManifestEpisode | UnplacedText, certificate: Certificate) -> None:
@@ -36,9 +36,11 @@ def check_program(row: ManifestEpisode | UnplacedText, certificate: Certificate)
     tree = tree_of(program)
     everywhere = {room_id for room_id, _ in named}
     composition = "C0" if len(everywhere) == 1 else _composition(program, tree, [its[-1] for its in rooms])
-    claimed = (row.category, row.depth, row.chain, row.composition, row.moves)
-    moves = len(visited[row.gold_leaf]) if 0 <= row.gold_leaf < len(leaves) else None
-    certificate.same("axes", claimed, (program.category, tree.depth, tree.chain, composition, moves))
+    claimed = (row.category, row.depth, row.chain, row.composition, row.moves, row.leads)
+    there = 0 <= row.gold_leaf < len(leaves)
+    moves = (len(visited[row.gold_leaf]), len(leads_to(program, row.gold_leaf))) if there else (None, None)
+    certificate.same("axes", claimed, (program.category, tree.depth, tree.chain, composition, *moves))
+    _check_leads(program, certificate)
     _check_evidence(row, certificate)
     certificate.holds("distinct_goals", len(set(goals)) == len(goals), "different goals", goals)
     for k, stops in enumerate(visited):
@@ -55,6 +57,32 @@ def check_program(row: ManifestEpisode | UnplacedText, certificate: Certificate)
         matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
         certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")
     _check_independence(conditions, certificate)
+
+
+def _check_leads(program: Program, certificate: Certificate) -> None:
+    """Check that a program with leads has one for each condition in another room than the one before it."""
+    here: dict[int, str | None] = {0: next((one.room.room_id for one in program.named if one.is_bearing), None)}
+    wanted = []
+    for at, branch in enumerate(program.branches):
+        room = program.conditions[branch.condition].room
+        wanted.append(None if room.room_id == here[at] else room)
+        here[branch.then] = here[branch.otherwise] = room.room_id
+    leads = [branch.lead for branch in program.branches]
+    certificate.holds("leads", leads == wanted or not any(leads), leads, wanted)
+
+
+def leads_to(program: Program, leaf: int) -> list[Branch]:
+    """Return the branches with a lead on the way to a leaf, in order."""
+    sides = zip(program.branches, tree_of(program).sides, strict=True)
+    return [branch for branch, (_, *both) in sides if branch.lead is not None and leaf in chain(*both)]
+
+
+def sharing(program: Program, condition: int) -> list[int]:
+    """Return the leaves that share the way to a condition: those behind the last lead before it, all without one."""
+    sides = {branch: (*then, *other) for branch, (_, then, other) in enumerate(tree_of(program).sides)}
+    own = next(set(sides[k]) for k, branch in enumerate(program.branches) if branch.condition == condition)
+    led = [its for k, its in sides.items() if program.branches[k].lead is not None and own.issubset(its)]
+    return sorted(led[-1]) if led else [*range(len(program.leaves))]
 
 
 def _check_independence(conditions: Sequence[Condition], certificate: Certificate) -> None:

@@ -75,6 +75,7 @@ def check_record(
         "evidence_in_view": row.evidence_in_view,
         "observability_approximate": row.observability_approximate,
         "moves": row.moves,
+        "leads": row.leads,
         "words": row.words,
         "instruction_id": row.instruction_id,
         "group_id": row.group_id,

@@ -41,6 +41,10 @@ def check_meaning(
     order = _check_conditions(row.program, reading, referents.single_room, certificate)
     if order is None:
         return
+    said = [reading.leads[place] for place in order]
+    leads = {branch.condition: branch.lead for branch in row.program.branches if branch.lead is not None}
+    claimed = [Named(leads[k].label, leads[k].anchor_label) if k in leads else None for k in range(len(order))]
+    certificate.same("leads", claimed, said)
     start = Standpoint.of(row) if isinstance(row, ManifestEpisode) else None
     unknown: Set[str] = BEARINGS.keys() if isinstance(row, UnplacedText) else frozenset()
     if not unknown.isdisjoint(_said(reading)):

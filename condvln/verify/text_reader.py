@@ -55,6 +55,7 @@ class State(NamedTuple):
     open : indices in `asks` of those claimed or answered after an "if" that has no "otherwise" yet
     listed : inside a list, the cases of its entries so far; None outside lists
     early : some answer did not refer to the latest question
+    leads : (cases, index of the condition that follows, room) so far
     """
 
     room: Named | None
@@ -64,6 +65,11 @@ class State(NamedTuple):
     open: tuple[int, ...]
     listed: int | None
     early: bool
+    leads: tuple[tuple[int, int, Named], ...] = ()
+
+    def led(self, context: int) -> Named | None:
+        """Return the room to which the last lead has sent one in all the cases `context`."""
+        return next((room for cases, _, room in reversed(self.leads) if not context & ~cases), None)
 
 
 _Reached = list[tuple[int, State, int]]
@@ -81,11 +87,14 @@ class ClauseReader(PhraseReader):
     def readings(self) -> Iterator[tuple[State, tuple[Moves, ...], str | None]]:
         """Yield each state at the end of the text, with the moves of its rules and the heading that the text states."""
         for at, heading in self._opening():
-            for start, scope in self._scopes(at):
-                self.scope = scope
+            for start, opened in self._scopes(at):
+                scope = self.scope = opened or self._led_scope()
                 self._continued.clear()
                 whole: list[State] = []
-                self._sentences(whole, start, State(scope, (), (), (), (), None, False), _ALWAYS)
+                state = State(scope, (), (), (), (), None, False)
+                self._sentences(whole, start, state, _ALWAYS)
+                for end, room in self._led(start, "."):
+                    self._sentences(whole, end, state._replace(room=room, leads=((_ALWAYS, 0, room),)), _ALWAYS)
                 told = list(self._numbers)
                 for state in whole:
                     yield state, tuple([told[number] for _, number in state.rules]), heading
@@ -167,7 +176,7 @@ class ClauseReader(PhraseReader):
             context &= ~listed
         claims = self._said(at, state.room)
         for claimed, present, what, room in [*claims, *self._joined(at, state.room)] if joined else claims:
-            for k, named in _conditions(state.named, asks, what):
+            for k, named in _conditions(state.named, asks, what, state.led(context)):
                 within = context
                 for ask in asks:
                     if ask.condition == k:  # asked again, so it applies to the same cases as before
@@ -262,25 +271,31 @@ class ClauseReader(PhraseReader):
             self._supposed(reached, end, state, context, base)
 
     def _request(self, reached: _Reached, at: int, state: State, context: int, base: int) -> None:
-        for end, what, room in self._requests(at, state.room):
-            for k, named in _conditions(state.named, state.asks, what):
-                asks = (*state.asks, _Ask(context, k, None))
-                reached.append((end, state._replace(room=room, named=named, asks=asks), base))
+        for start, lead in ((at, None), *self._led(at, "and")):
+            leads = state.leads if lead is None else (*state.leads, (context, len(state.named), lead))
+            led = state._replace(room=lead or state.room, leads=leads)
+            for end, what, room in self._requests(start, led.room):
+                for k, named in _conditions(led.named, led.asks, what, led.led(context)):
+                    asks = (*led.asks, _Ask(context, k, None))
+                    reached.append((end, led._replace(room=room, named=named, asks=asks), base))
 
 
 def _conditions(
-    before: tuple[Phrase, ...], asks: tuple[_Ask, ...], what: Phrase
+    before: tuple[Phrase, ...], asks: tuple[_Ask, ...], what: Phrase, led: Named | None
 ) -> list[tuple[int, tuple[Phrase, ...]]]:
     """Return each possible index of the condition `what`, together with all conditions named so far, including `what`.
 
-    A known object without a room is in the room of the condition before it.
+    What is named without a room is where one is `led`; without a lead, a known object is in the room of the condition
+    before it.
     """
     known = [k for k, one in enumerate(before) if what == one or (what.room is None and _without_room(what, one))]
     if known:
         return [(k, before) for k in known]
     found = [(k, before) for k, one in enumerate(before) if _by_noun(what, one)]
     if len(before) < MAX_CONDITIONS:
-        if what.known and what.room is None and asks:
+        if what.room is None and led is not None:
+            what = what._replace(room=led)
+        elif what.known and what.room is None and asks:
             what = what._replace(room=before[asks[-1].condition].room)
         found.append((len(before), (*before, what)))
     return found
@@ -376,11 +391,13 @@ class TextReading:
 
     conditions : in the order of their first mention
     moves : moves[c] for the case c whose bit k is the truth of condition k
+    leads : the room of the lead to each condition; None without one
     """
 
     conditions: tuple[Phrase, ...]
     moves: tuple[Moves, ...]
     heading: str | None
+    leads: tuple[Named | None, ...]
 
 
 def read(text: str, code: str = "en") -> TextReading:
@@ -397,7 +414,10 @@ def read(text: str, code: str = "en") -> TextReading:
         choice = chosen(state)
         if choice is not None:
             placed = in_rooms(state.named, moves)
-            found.append(((state.named, tuple([placed[rule] for rule in choice]), heading), state.early))
+            led = {k: room for _, k, room in state.leads}
+            leads = tuple([led.pop(k, None) for k in range(len(state.named))])
+            if not led:
+                found.append(((state.named, tuple([placed[rule] for rule in choice]), heading, leads), state.early))
     if not found:
         raise Unreadable(f"no reading; parsing stops before {reader.rest()!r}")
     functions = {function for function, _ in found}

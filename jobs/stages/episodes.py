@@ -63,7 +63,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 30
+    version: int = 31
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 
@@ -114,7 +114,7 @@ class EpisodeStage(Stage):
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 35
+    version: int = 36
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

@@ -111,7 +111,7 @@ class EpisodeConfig(Section):
     """[minimum, maximum] geodesic distance from the start to any leaf where the scene has several rooms"""
     detour_factor: float = Field(2.0, ge=1, allow_inf_nan=False)
     """in scenes of several rooms, the route through the stops to any leaf may be at most this factor times the geodesic
-    distance to the leaf, plus detour_slack"""
+    distance to the leaf, plus detour_slack; leads are part of both"""
     detour_slack: Metres = 4.0
     """constant part of the maximum length of the route to a leaf; the other part is detour_factor × the geodesic
     distance to the leaf"""

@@ -52,6 +52,8 @@ class InstructionCell(Section):
     """number of moves of every leaf; it is the same for all leaves, so that it doesn't reveal the gold leaf"""
     route: tuple[Finite, Finite] | None = Field(None, json_schema_extra={"unit": "m"})
     """[minimum, maximum] length of the route through the stops to every leaf"""
+    leads: Literal["with", "without"] | None = None
+    """whether programs have leads, in scenes of several rooms; if not given, instructions.leads says how many have"""
     words: tuple[int, int] | None = None
     """[minimum, maximum] number of words of the text, including the opening with the start heading"""
     count: int = Field(ge=1, le=10_000)
@@ -92,7 +94,8 @@ class InstructionCell(Section):
         moves = None if self.moves is None else f"{self.moves} move{'s' if self.moves > 1 else ''}"
         route = None if self.route is None else f"{_span(self.route)} m"
         words = None if self.words is None else f"{_span(self.words)} words"
-        parts = (self.category, self.composition, self.observability, moves, route, words)
+        leads = f"{self.leads} leads" if self.leads else None
+        parts = (self.category, self.composition, self.observability, moves, leads, route, words)
         return " ".join(part for part in parts if part)
 
     @property
@@ -142,6 +145,9 @@ class InstructionsConfig(WordingConfig):
     counterfactual_groups: int = Field(2, ge=0, le=1000)
     """number of counterfactual groups wanted per scene, in addition to the episodes; a group is four episodes with one
     start, in which the truth of a condition and the order of two leaves vary"""
+    leads: Share = 0.7
+    """share of programs with leads, in scenes of several rooms: one goes to the room of a condition before one decides
+    it (“Go to the kitchen. If there's a kettle, …”)"""
     label_cap: Share = 0.15
     """maximum share of a scene's leaves that have the same target label (where the scene has few labels, an equal share
     for each label)"""

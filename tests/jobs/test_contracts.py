@@ -29,7 +29,7 @@ def test_an_episode_holds_together(snapshot: Snapshot) -> None:
         gold = episode["leaves"][episode["gold_leaf"]]
         assert [leaf["leaf"] for leaf in episode["leaves"]] == list(range(episode["n_leaves"]))
         assert all(gold[name] == episode[name] for name in ("geodesic_distance", "route_length"))
-        assert len(gold["subgoals"]) == episode["moves"] - 1
+        assert len(gold["subgoals"]) == episode["leads"] + episode["moves"] - 1
         assert len(episode["locations"]) == episode["actions"].count(1) + 1
         assert len(episode["actions"]) <= episode["ground_truth_steps"]
         assert episode["locations"][0] == episode["start_position"]

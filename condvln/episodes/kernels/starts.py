@@ -85,7 +85,8 @@ class Bounds(NamedTuple):
     """least and greatest distance to the goals"""
     high: float
     factor: float
-    """A route with stops may have at most this factor times the distance to its goal, plus the slack."""
+    """A route with stops may have at most this factor times the distance to its goal by way of its leads, plus the
+    slack."""
     slack: float
     least: float
     """least and greatest length of all routes"""
@@ -205,6 +206,22 @@ def _new_way(
     return int(way)
 
 
+@compiled
+def _way(
+    mesh: QueryMesh,
+    search: Search,
+    places: Places,
+    known: KnownWays,
+    place: int,
+    goal: int,
+    points: Floats,
+    kept: Floats,
+) -> int:
+    """Return the way from a place to the nearest goal point of an object, which is found once; or ``NO_ROOM``."""
+    way = _known_way(known.keys, known.ways, place * (places.first.shape[0] - 1) + goal)
+    return int(_new_way(mesh, search, places, known, place, goal, points, kept) if way == UNKNOWN else way)
+
+
 @inlined
 def _in_range(
     mesh: QueryMesh,
@@ -247,32 +264,39 @@ def _detour(
     start: int,
     moves: Indices,
     first_move: Indices,
+    leads: Indices,
     bounds: Bounds,
     points: Floats,
     kept: Floats,
 ) -> int:
-    """Return ``ACCEPTED`` if no leaf's route from a start is too long for the distance to its goal, ``DETOUR`` if one
-    is, or ``NO_ROOM``.
+    """Return ``ACCEPTED`` if no leaf's route from a start is too long for the distance to its goal by way of its leads,
+    ``DETOUR`` if one is, or ``NO_ROOM``.
     """
-    starts, objects = places.distance.shape[0], places.first.shape[0] - 1
+    starts = places.distance.shape[0]
     result = ACCEPTED
     for leaf in range(first_move.shape[0] - 1):
         begin, end = first_move[leaf], first_move[leaf + 1]
         if result != ACCEPTED or end - begin < 2:
             continue
-        length = _from_start(mesh, search, places, start, moves[begin], points)
-        at, onward = places.nearest[start, moves[begin]], 0.0
-        for k in range(begin + 1, end):
-            way = _known_way(known.keys, known.ways, (starts + at) * objects + moves[k])
-            if way == UNKNOWN:
-                way = _new_way(mesh, search, places, known, starts + at, moves[k], points, kept)
+        length, direct, place = 0.0, places.distance[start, moves[end - 1]], start
+        for k in range(begin, end):
+            way = -1
+            if k == begin:
+                length = _from_start(mesh, search, places, start, moves[begin], points)
+                place = starts + places.nearest[start, moves[begin]]
+            else:
+                way = _way(mesh, search, places, known, place, moves[k], points, kept)
+                if way != NO_ROOM:
+                    length += known.distance[way]
+                    place = starts + known.point[way]
+            if way != NO_ROOM and k < begin + leads[leaf]:
+                way = _way(mesh, search, places, known, place, moves[end - 1], points, kept)
+                if way != NO_ROOM:
+                    direct = length + known.distance[way]
             if way == NO_ROOM:
                 result = NO_ROOM
                 break
-            onward += known.distance[way]
-            at = known.point[way]
-        direct = places.distance[start, moves[end - 1]]
-        if result == ACCEPTED and not length + onward <= bounds.factor * direct + bounds.slack:
+        if result == ACCEPTED and not length <= bounds.factor * direct + bounds.slack:
             result = DETOUR
     return result
 
@@ -298,6 +322,7 @@ def possible_starts(
     known: KnownWays,
     moves: Indices,
     first_move: Indices,
+    leads: Indices,
     bounds: Bounds,
     possible: Indices,
 ) -> tuple[int, int]:
@@ -325,7 +350,7 @@ def possible_starts(
                     continue
             judged = ACCEPTED
             if bounds.factor < math.inf:
-                judged = _detour(mesh, search, places, known, start, moves, first_move, bounds, points, kept)
+                judged = _detour(mesh, search, places, known, start, moves, first_move, leads, bounds, points, kept)
             if judged == NO_ROOM:
                 outcome = FULL
             elif judged == ACCEPTED and turn == 1:
@@ -368,16 +393,14 @@ def _judged(
 ) -> int:
     """Write the routes of all leaves from a start; return ``ACCEPTED``, why the start is refused, or ``NO_ROOM``."""
     leaves = first_move.shape[0] - 1
-    starts, objects = places.distance.shape[0], places.first.shape[0] - 1
+    starts = places.distance.shape[0]
     for leaf in range(leaves):
         place, size = start, int(leaves > 0)
         paths[leaf, 0] = places.exact[start]
         lengths[leaf] = 0.0
         crosses = False
         for k in range(first_move[leaf], first_move[leaf + 1]):
-            way = _known_way(known.keys, known.ways, place * objects + moves[k])
-            if way == UNKNOWN:
-                way = _new_way(mesh, search, places, known, place, moves[k], points, kept)
+            way = _way(mesh, search, places, known, place, moves[k], points, kept)
             if way == NO_ROOM:
                 return NO_ROOM
             if known.sizes[way] == 0:

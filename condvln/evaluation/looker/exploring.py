@@ -127,6 +127,20 @@ class Explorer:
             found = self._another_room(here, open_to & ground.edge, phrase, rooms, towards)
         return found
 
+    def inwards(self, phrase: Phrase, here: Here) -> F64 | None:
+        """Return a position on the way to the middle of the room of `phrase`; None if the agent is there, or knows no
+        way to such a room.
+        """
+        rooms, ground = self._referents.rooms(phrase), here.ground
+        inside = ground.passable & self._open_to(ground) & np.isfinite(here.ways.distance)
+        inside &= np.isin(ground.region, list(rooms or ()))
+        if not inside.any():
+            return self.unseen(phrase, here)
+        nearest = np.unravel_index(np.where(inside, here.ways.distance, np.inf).argmin(), inside.shape)
+        places = ground.places(*np.nonzero(inside & (ground.region == ground.region[nearest])))
+        middle = places[np.hypot(*(places - places.mean(axis=0)).T).argmin()]
+        return None if np.hypot(*(here.place - middle)) <= SAME else np.asarray(middle, np.float64)
+
     def nearer(self, thing: Thing, move: Phrase, here: Here) -> F64 | None:
         """Return the position that can be reached and is the nearest to an object, no floor beside which is known; on
         the floor of the object's room, if any of it can be reached. If there is none, or the agent is as near already,

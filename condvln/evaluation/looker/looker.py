@@ -94,6 +94,7 @@ class Looker:
         self._steering = Steering()
         self._limit = max_steps
         self._flipped = generator(seed, "logic", episode).uniform(size=len(self.reading.conditions)) < config.logic
+        self._followed: set[int] = set()  # conditions whose leads it has followed
         self._step = 0
         self._looked: F64 | None = None
         self._place, self._heading = np.zeros(3), 0.0
@@ -215,6 +216,8 @@ class Looker:
         at = 0
         while at >= 0:
             branch = shape.branches[at]
+            if not self._has_followed(branch.condition):
+                return
             verdict = self._verdict(branch.condition)
             if verdict is None:
                 return
@@ -241,6 +244,20 @@ class Looker:
             self._set_aim(found.place, stop=found.final, beside=not found.final)
             return
         self._aim = None
+
+    def _has_followed(self, number: int) -> bool:
+        """Return whether the agent was in the room of the lead to a condition, or there is none. If it must still go
+        there, set a target.
+        """
+        if self.reading.leads[number] is None or number in self._followed:
+            return True
+        late = self._step + self._reserve(number) >= self._limit
+        target = None if late else self._explorer.inwards(self.reading.conditions[number], self._here())
+        if target is not None:
+            self._set_aim(target)
+            return False
+        self._followed.add(number)
+        return True
 
     def _verdict(self, number: int) -> bool | None:
         """Return the answer to a condition. If more must be seen first, set a target and return None."""

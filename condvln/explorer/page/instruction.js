@@ -66,7 +66,8 @@
       const side = (word, target, taken) => element("li", { class: taken ? "taken" : "" },
         element("span", { class: "word" }, word), " ", target >= 0 ? branchNode(target) : leafNode(-1 - target));
       const asked = onRoute.has(branch.condition);
-      return element("div", { class: "branch" },
+      const lead = branch.lead ? element("div", { class: "lead" }, element("span", { class: "word" }, "go to"), ` ${explorer.roomName(branch.lead)}`) : "";
+      return element("div", { class: "branch" }, lead,
         pickable({ class: "condition", "data-condition": branch.condition }, { condition: branch.condition }, choose,
           element("b", {}, `${letter(branch.condition)} `), explorer.conditionName(condition), "? ",
           element("span", { class: condition.truth ? "true" : "false" }, condition.truth ? "✔ true" : "✘ false")),

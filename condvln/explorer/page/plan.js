@@ -293,9 +293,9 @@
 
   explorer.Plan = Plan;
 
-  /* Return an object's label and id, or its id alone where only an export is known. */
+  /* Return the label and id of an object, or of the room of a lead; the id alone where only an export is known. */
   explorer.thing = (scene, id) => {
-    const found = scene.objects.find((item) => item.id === id);
+    const found = [...scene.objects, ...scene.rooms].find((item) => item.id === id);
     return found ? `${found.label} (${id})` : id;
   };
 

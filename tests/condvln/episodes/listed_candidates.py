@@ -24,6 +24,9 @@ class Listed:
     def group(self) -> Sequence[Candidate]:
         return self._groups.pop(0) if self._groups else ()
 
+    def leads_of(self, cell: InstructionCell) -> int:
+        return 0
+
     def more(
         self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
     ) -> Sequence[Candidate]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import accumulate, permutations
 from typing import Any
 
@@ -23,6 +24,7 @@ from condvln.episodes.pool import EpisodePool, allowed_share, fill_pool, most_le
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.instructions.degeneracy import outcomes
+from condvln.instructions.programs import with_leads
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene, round_mm
 from condvln.seeding import Draws, generator
@@ -425,6 +427,9 @@ class ToOrder:
     def group(self) -> Sequence[Candidate]:
         return ()
 
+    def leads_of(self, cell: InstructionCell) -> int:
+        return 0
+
     def more(
         self, cell: InstructionCell, count: int, golds: Sequence[int], moves: Sequence[float] | None
     ) -> Sequence[Candidate]:
@@ -466,6 +471,34 @@ def test_candidates_are_drawn_as_they_are_wanted_with_the_moves_and_golds_that_a
     assert drawn < 5 * 12 * 40, "a third of the programs with a long route is placed"
     found = [total[n] / total.total() for n in range(1, len(shares) + 1)]
     assert found == pytest.approx(shares, abs=0.03)
+
+
+class Led(ToOrder):
+    """Draws with leads what is asked for with them."""
+
+    def leads_of(self, cell: InstructionCell) -> int:
+        return round(0.75 * cell.count)
+
+    def more(self, *asked: Any, leads: bool = False) -> Sequence[Candidate]:
+        found = super().more(*asked)
+        led = [replace(one, program=with_leads(one.program)) for one in found] if leads else found
+        self.drawn[len(self.drawn) - len(found) :] = led
+        return led
+
+
+@pytest.mark.parametrize(("lost", "led"), [((), 9), (range(1, 400, 2), 9), (range(0, 14, 2), 7)])
+def test_a_cell_has_its_leads_and_others_where_they_find_no_place(lost: Iterable[int], led: int) -> None:
+    cell, supply = InstructionCell(category="simple", count=12), Led("simple", 0, most=400)
+    placer = Anywhere([f"{k}" for k in lost])
+    if led < 9:  # no more of them are to be had
+        more, supply.more = (
+            supply.more,
+            lambda *asked, leads=False: () if leads and supply.calls else more(*asked, leads=leads),
+        )
+    pool = fill_pool(supply, placer, (cell,), 1.0, lambda _: False, None, 0, lambda _: 2 * ((1.0,),))
+    found = sum(episode.program.branches[0].lead is not None for episode in pool.episodes)
+    assert len(pool.episodes) == 12
+    assert found == led
 
 
 def test_a_cell_that_can_not_be_filled_draws_all_that_there_is_and_no_more() -> None:

@@ -109,6 +109,7 @@ def task_with(
         "observability_approximate": None,
         "evidence": None,
         "moves": 1 + len(leaves[gold].get("subgoals", [])),
+        "leads": 0,
         "route": "00–05 m",
         "words": "000–039",
     }

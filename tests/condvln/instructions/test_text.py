@@ -24,6 +24,7 @@ from condvln.instructions import (
 from condvln.instructions.grammar_source import grammar_source
 from condvln.instructions.language import LANGUAGES, language
 from condvln.instructions.parsing import parser, reading_from_tree
+from condvln.instructions.programs import with_leads
 from condvln.instructions.rendering import HEADINGS
 from condvln.instructions.text_reading import Phrase, Place
 from condvln.language import InstructionText, language_report
@@ -46,8 +47,9 @@ def texts(sampled, code: str) -> list[tuple[Scene, Program, str]]:
     found = []
     for scene, _, _, programs in sampled:
         for program in programs:
-            name = instruction_id(scene.family, scene.scene_id, program)
-            found.append((scene, program, render(program, 0, name, code)))
+            for one in (program, with_leads(program)) if len(scene.rooms) > 1 else (program,):
+                name = instruction_id(scene.family, scene.scene_id, one)
+                found.append((scene, one, render(one, 0, name, code)))
     return found
 
 
@@ -168,6 +170,8 @@ def test_every_phrase_and_every_template_is_used(sampled, code: str) -> None:
     rare = WordingConfig.model_validate({"language": code, "voices": ["list"]})
     tagged = [p for p in programs if any(one.room.anchor_label for one in p.named)]
     texts += [render(program, k, "variety", rare).lower() for k, program in enumerate(tagged)]
+    leads = [with_leads(p) for scene, _, _, programs in sampled if len(scene.rooms) > 1 for p in programs[::4]]
+    texts += [render(program, k, "leads", code).lower() for k, program in enumerate(leads)]
     words = language(code)
     said = " ".join(words.expanded(text) for text in texts)
     for name, phrases in words.slots.items():
@@ -207,9 +211,10 @@ def test_lengths_are_those_of_speech(texts, code: str) -> None:
 def test_an_oracle_linear_twin_keeps_the_stops_in_order(texts, code: str) -> None:
     for _, program, text in texts[::7]:
         moves = oracle_linear(program)
-        assert moves == program.leaves[program.gold_leaf()].moves
+        gold = program.gold_leaf()
+        assert moves == (*program.leads(gold), *program.leaves[gold].moves)
         linear = render_moves(moves, 0, "x", code)
-        nouns = [language(code).noun(move.label, move.room.label).text for move in moves]
+        nouns = [language(code).noun(move.label, move.room.label).text for move in program.leaves[gold].moves]
         places = [re.search(rf"\b{re.escape(noun.lower())}\b", linear.lower()) for noun in nouns]
         assert all(places)
         assert len(linear.split()) < len(text.split())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mutants_of_files
+import mutants_of_leads
 import mutants_of_names
 import mutants_of_places
 import mutants_of_predicates
@@ -19,6 +20,7 @@ MODULES = (
     mutants_of_predicates,
     mutants_of_texts,
     mutants_of_places,
+    mutants_of_leads,
     mutants_of_sight,
     mutants_of_files,
 )

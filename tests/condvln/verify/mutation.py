@@ -94,6 +94,8 @@ class Files:
         leaf = manifest["leaves"][gold]
         manifest["gold_leaf"] = gold
         manifest["moves"] = record["info"]["moves"] = len(manifest["program"]["leaves"][gold]["moves"])
+        leads = len(Program.model_validate(manifest["program"]).leads(gold))
+        manifest["leads"] = record["info"]["leads"] = leads
         for name in ("geodesic_distance", "route_length"):
             manifest[name] = record["info"][name] = leaf[name]
         self.repeat_gold()

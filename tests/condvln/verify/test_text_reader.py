@@ -49,7 +49,7 @@ def test_a_simple_text() -> None:
         "You're facing north-east. If there's a lamp near the bed, go to the sofa in the kitchen, and stop at the desk "
         "north of the sink in the bedroom with the piano. If not, walk to the sofa in the kitchen."
     )
-    assert reading == TextReading((LAMP,), ((SOFA,), (SOFA, DESK)), "north-east")
+    assert reading == TextReading((LAMP,), ((SOFA,), (SOFA, DESK)), "north-east", (None,))
 
 
 def test_there_is_the_room_named_last() -> None:
