@@ -31,11 +31,11 @@ lint: $(VENV)/.ready  ## style, types, the import contract, nothing newer than P
 	$(BIN)/vermin --quiet --no-tips --violations -t=3.10- schemas condvln factory jobs
 
 test: lint  ## lint, types, contracts and tests (about a quarter of an hour on two cores)
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not soak"
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not soak"
 
 soak: $(VENV)/.ready  ## full fuzzing, fault and determinism matrices
-	$(BIN)/python -m pytest -n $(WORKERS) -m "soak or costly" --draws $(DRAWS)
-	$(BIN)/python -m pytest -n $(WORKERS) -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 6
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "soak or costly" --draws $(DRAWS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "hypothesis and not soak and not costly" --draws $(DRAWS) --rounds 6
 
 # Heavy packages, over those of $(VENV), in an environment of their own: their pins contradict those of the tests.
 $(VENV)-agents/.ready: requirements-agents.lock $(VENV)/.ready

@@ -21,7 +21,7 @@ import pytest
 
 TARGETS = ("test", "soak")
 
-NOT_OF_THE_CHOICE = ("-n", "--draws", "--rounds")
+NOT_OF_THE_CHOICE = ("-n", "--dist", "--draws", "--rounds")
 """Options, each with a value, that do not change which tests run."""
 
 

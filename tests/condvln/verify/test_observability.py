@@ -107,16 +107,12 @@ def test_without_the_surfaces_that_an_episode_rests_on_nothing_is_taken_on_trust
 
 def test_rows_that_say_nothing_of_it_are_held_to_no_level(made_export) -> None:
     run = made_export.runs[0]
+    nothing = dict.fromkeys(("observability", "evidence_in_view", "observability_approximate"))
     silent = [
         dataclasses.replace(
-            changed(row, observability=None, evidence=None, evidence_in_view=None, observability_approximate=None),
-            record={
-                **row.record,
-                "info": {
-                    **row.record["info"],
-                    **dict.fromkeys(("observability", "evidence_in_view", "observability_approximate")),
-                },
-            },
+            changed(row, evidence=None, **nothing),
+            record={**row.record, "info": {**row.record["info"], **nothing}},
+            looking_record={**row.looking_record, "info": {**row.looking_record["info"], **nothing}},
         )
         for row in run.rows
     ]
