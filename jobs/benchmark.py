@@ -295,13 +295,13 @@ def read_record(path: Path) -> BenchmarkRecord:
 
 
 def _stops(export: Path) -> list[BenchmarkStops]:
-    """Count the stops before the goals of all leaves of an export, gold or not."""
+    """Count the stops before the goals of all leaves of an export, gold or not, without leads."""
     found = []
     for split in SPLITS:
         counts: defaultdict[int, Counter[int]] = defaultdict(Counter)
         path = manifest_path(export, split)
         for row in read_manifest(path) if path.is_file() else ():
-            counts[len(row.leaves)].update(len(leaf.subgoals) for leaf in row.leaves)
+            counts[len(row.leaves)].update(len(leaf.moves) - 1 for leaf in row.program.leaves)
         found += [BenchmarkStops(split=split, leaves=n, stops=(c[0], c[1], c[2])) for n, c in sorted(counts.items())]
     return found
 

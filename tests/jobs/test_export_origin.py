@@ -248,7 +248,7 @@ def test_fewer_asked_for_is_a_reason(
 
 def test_empty_splits_are_said_with_their_reason(made_run: tuple[Config, Report], tmp_path: Path) -> None:
     config = made_run[0].model_copy(
-        update={"export": tmp_path / "out", "splits": SplitsConfig(bias="off", scenes={"test": ("*/*",)})}
+        update={"export": tmp_path / "out", "splits": SplitsConfig(bias="off", per_cell=2, scenes={"test": ("*/*",)})}
     )
     report = export_snapshot_of(config)
     assert set(report.document["empty_splits"]) == {"train", "val_seen", "val_unseen"}

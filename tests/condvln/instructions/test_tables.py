@@ -55,6 +55,9 @@ def test_a_key_is_the_hash_of_the_canonical_json(sampled) -> None:
             document = program.model_dump(mode="json")
             for condition in document["conditions"]:
                 del condition["definite"]
+            for branch in document["branches"]:
+                if branch["lead"] is None:
+                    del branch["lead"]
             expected = hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
             assert program_key(program) == expected
 
