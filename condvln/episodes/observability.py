@@ -263,7 +263,7 @@ class Observer:
         if new:
             seen = self._view.seen(eyes[new], target, self.around(name))
             known.update(zip((keys[k] for k in new), seen, strict=True))
-        return np.array([known[key] for key in keys])
+        return np.array([known[key] for key in keys], bool).reshape(len(eyes), len(target.samples))
 
 
 def _object(name: str) -> SightNeed:

@@ -92,7 +92,8 @@ def _told(row: ManifestEpisode | UnplacedText) -> tuple[Any, ...]:
     program = row.program
     conditions = [(c.label, c.truth, *_ids(c)) for c in program.conditions]
     leaves = [[(move.object_id, *_ids(move)) for move in leaf.moves] for leaf in program.leaves]
-    return row.source, row.scene_id, program.category, conditions, leaves
+    leads = [branch.lead and (branch.lead.room_id, branch.lead.anchor_id) for branch in program.branches]
+    return row.source, row.scene_id, program.category, conditions, leaves, leads
 
 
 def _ids(named: Condition | ObjectRef) -> tuple[Any, ...]:

@@ -94,7 +94,7 @@ def test_first_runs_take_about_what_was_estimated(asked: int, real_data: Path, t
         ratios[family] = found.ratio(*FEATURES)
     middle = statistics.median(ratios.values())
     assert 1 / 4 < middle < 4, ratios
-    assert all(1 / 2 < ratio / middle < 2 for ratio in ratios.values()), ratios
+    assert all(1 / 3 < ratio / middle < 3 for ratio in ratios.values()), ratios
 
 
 def test_a_unit_carries_the_estimate_of_each_stage(tmp_path: Path, real_data: Path) -> None:

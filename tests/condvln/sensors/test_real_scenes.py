@@ -97,7 +97,7 @@ def test_evidence_that_is_visible_at_once_has_pixels(made: list[World]) -> None:
     down = level.model_copy(update={"look_down": 50.0})
     wanted = InstructionsConfig(per_category={"simple": 6, "chain": 6}, counterfactual_groups=0)
     seen_ways = []
-    for world in made[::2]:
+    for world in made:
         if world.scene.navmesh is None:
             continue
         number = {item.object_id: k + 1 for k, item in enumerate(world.scene.objects)}
@@ -117,5 +117,5 @@ def test_evidence_that_is_visible_at_once_has_pixels(made: list[World]) -> None:
                 ways = [{number[witness], *(number[a] for a in anchors)} for witness in condition.witnesses]
                 seen_ways.append(any(way <= seen for way in ways))
     print(f"{len(seen_ways)} conditions, seen {np.mean(seen_ways):.4f}")
-    assert len(seen_ways) >= 15
+    assert len(seen_ways) > 20
     assert np.mean(seen_ways) >= 0.995
