@@ -75,7 +75,7 @@ def _appears(factor: float) -> Mutator:
     return mutate
 
 
-for _name, _factor in (("a_smaller_angle", 0.75), ("a_larger_angle", 1.33)):
+for _name, _factor in (("a_smaller_angle", 0.8), ("a_larger_angle", 1.25)):
     MUTATORS[_name] = _appears(_factor)
 
 
