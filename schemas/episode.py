@@ -15,7 +15,9 @@ Composition = Literal["C0", "C1", "C2"]
 rest."""
 
 Observability = Literal["O0", "O1", "O2"]
-"""Where the evidence is visible. O0: from the start. O1: on the common prefix of all paths. O2: only after a detour."""
+"""Where the evidence is visible. O0: from the start. O1: on the way shared by all leaves to which the last lead before
+the condition leads; without leads, by all leaves. O2: only after a detour.
+"""
 
 
 class Evidence(Document):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -14,16 +12,13 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import eyes_at
 from condvln.scene import Scene, round_mm
 from schemas.config import PlacesConfig
-from schemas.config.constants import SINK
+from schemas.config.constants import LEAD_INSIDE, SINK
 from schemas.program import Condition
 
 __all__ = ["LeadPlaces"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-INSIDE: Final = 0.5
-"""Least distance in metres of a place from the outline of its room: two steps."""
 
 
 class LeadPlaces:
@@ -46,24 +41,29 @@ class LeadPlaces:
         self._showing: dict[Condition, Bools] = {}
 
     def holds(self, room_id: str, points: F64, inside: float = 0.0) -> Bools:
-        """Return a mask (n,) of the points (n, 3) that are in a room, at least `inside` metres from its outline."""
+        """Return a mask (n,) of the points (n, 3) that are in a room or on its outline, at least `inside` metres from
+        the outline.
+        """
         room = self._rooms[room_id]
         if room.polygon is None:
             return np.zeros(len(points), bool)
         outline, at = shapely.make_valid(shapely.Polygon(room.polygon)), shapely.points(points[:, ::2])
         level = np.abs(points[:, 1] - room.floor_y) <= SINK
-        return np.asarray(level & shapely.contains(outline, at) & (shapely.distance(outline.boundary, at) >= inside))
+        return np.asarray(level & shapely.covers(outline, at) & (shapely.distance(outline.boundary, at) >= inside))
 
     def points(self, room_id: str) -> F64:
         """Return the places (n, 3) of a room, in the order of their mean distance from the starts outside: one comes to
         the first ones soonest.
         """
         if room_id not in self._points:
-            found = self._places[self.holds(room_id, self._places, INSIDE)]
+            found = self._places[self.holds(room_id, self._places, LEAD_INSIDE)]
             outside = self._starts[~self.holds(room_id, self._starts)]
             if len(found) and len(outside):
                 metres = np.asarray(self._pathfinder.distance_table(outside, found), np.float64)
-                found = found[np.where(np.isfinite(metres), metres, 0.0).mean(axis=0).argsort(kind="stable")]
+                joined = np.isfinite(metres)
+                total, ways = np.where(joined, metres, 0.0).sum(axis=0), joined.sum(axis=0)
+                mean = np.where(ways > 0, total / np.maximum(ways, 1), np.inf)
+                found = found[mean.argsort(kind="stable")]
             self._points[room_id] = found
         return self._points[room_id]
 

@@ -331,11 +331,12 @@ class LookingPaths:
             used |= self._from_places(need).reshape(len(self.places), -1).any(axis=1)
         away, on_legs, leg = self._from_start(routes.start)
         used &= np.isfinite(away)
-        used[[place for place in without if place != START]] = False
         ends = self._lead_ends(program, routes)
         used[[*{place for its in ends for place in its.values()}]] = True
         at = np.flatnonzero(used)
-        sights = {need: np.concatenate([from_start[need], self._from_places(need)[at]]) for need in needs}
+        shows = ~np.isin(at, [*without])
+        from_places = {need: (self._from_places(need)[at].T & shows).T for need in needs}
+        sights = {need: np.concatenate([from_start[need], from_places[need]]) for need in needs}
         pairs = {need: self._pairs(need, at, sights[need]) for need in needs if need[0] == "floor"}
         metres = np.zeros((len(at) + 1, len(at) + 1))
         metres[1:, 1:] = self._between[np.ix_(at, at)]
@@ -361,7 +362,7 @@ class LookingPaths:
                 open_to = np.where(near[0], np.inf, metres)
                 open_to[0, near[1]] = np.inf
                 if condition in ends[number]:
-                    plans = plans.moved(metres, at == ends[number][condition])
+                    plans = plans.moved(open_to, at == ends[number][condition])
                 plans = self._decided(plans.only(~near[0]), condition, ways[condition], sights, pairs, open_to)
             total = plans.cost + self._onward(points, at, leaf, len(ends[number]), routes.objects[number][-1])
             best = int(total.argmin())
@@ -560,9 +561,9 @@ def _below(program: Program, target: int) -> frozenset[int]:
     return _below(program, branch.then) | _below(program, branch.otherwise)
 
 
-def _near(points: F64, routes: Routes, taken: frozenset[int], other: frozenset[int], more: float = 0.0) -> Bools:
-    """Return a mask (n,) of the points (n, 3) that are within the success distance, plus `more` metres, of a stop that
-    only the `taken` leaves have, and not the `other` ones: who is there has chosen between them.
+def _near(points: F64, routes: Routes, taken: frozenset[int], other: frozenset[int]) -> Bools:
+    """Return a mask (n,) of the points (n, 3) that are within the success distance of a stop that only the `taken`
+    leaves have, and not the `other` ones: who is there has chosen between them.
     """
     shared = {name for leaf in other for name in routes.objects[leaf]}
     found = np.zeros(len(points), bool)
@@ -571,7 +572,7 @@ def _near(points: F64, routes: Routes, taken: frozenset[int], other: frozenset[i
         for name, stops in zip(routes.objects[number], [*leaf.route.stops[:-1, None], leaf.goals], strict=True):
             if name not in shared:
                 away = np.hypot(*(points[:, None, [0, 2]] - stops[:, [0, 2]]).transpose(2, 0, 1))
-                found |= (away <= routes.success_distance + more).any(axis=1)
+                found |= (away <= routes.success_distance).any(axis=1)
     return found
 
 

@@ -23,7 +23,7 @@ from condvln.formats.streams import write_figure
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
 from condvln.navigation.follower import FORWARD, VLN_CE
-from condvln.scene import Scene, SceneObject
+from condvln.scene import Room, Scene, SceneObject
 from condvln.scene.scene import STRUCTURE, SceneGeometry
 from schemas.program import Condition, Program
 
@@ -346,7 +346,8 @@ def _labels(
         name = _noun(scene.object_of.get(leaf["object_id"]))
         yield Label(f"leaf {leaf['leaf']}{name}", goal["x"], goal["z"], colour, 9, needed=True, bold=True)
         for number, stop in enumerate(leaf["subgoals"], start=1):
-            place, name = stop["position"], _noun(scene.object_of.get(stop["object_id"]))
+            name = _noun(scene.object_of.get(stop["object_id"]) or scene.room_of.get(stop["object_id"]))
+            place = stop["position"]
             yield Label(f"stop {number}{name}", place["x"], place["z"], colour, 7.5, needed=True)
     for number, condition in enumerate(() if program is None else program.conditions, start=1):
         yield from _labels_of(scene, number, condition)
@@ -376,7 +377,7 @@ def _labels_of(scene: Scene, number: int, condition: Condition) -> Iterator[Labe
         yield Label(f"{number}{_noun(item)}", x, z, "#2a7876", 8, needed=True)
 
 
-def _noun(item: SceneObject | None) -> str:
+def _noun(item: SceneObject | Room | None) -> str:
     return "" if item is None else f" {item.label}"
 
 

@@ -348,8 +348,8 @@ class Placer:
             if not fit.any():
                 raise Rejected("lead_unseen", final=True)
             allowed[at] = (self._targets[1][room_id] + np.flatnonzero(fit)).tolist()
-        tries = range(LEAD_TRIES if allowed else 1)
-        return [{at: fit[k * len(fit) // LEAD_TRIES] for at, fit in allowed.items()} for k in tries]
+        tries = [[fit[k * len(fit) // LEAD_TRIES] for fit in allowed.values()] for k in range(LEAD_TRIES)]
+        return [dict(zip(allowed, ends, strict=True)) for ends in dict.fromkeys(map(tuple, tries))]
 
     def _with_stops(
         self,

@@ -348,6 +348,8 @@ class _Filling:
             return "quota_full"
         if cell is not None and one.has_leads and self._led[cell] >= self._supply.leads_of(cell):
             return "quota_full"
+        if cell is not None and self._wants_leads_only(cell) and not one.has_leads:
+            return "quota_full"
         if cell is not None and self._golds[cell][one.gold] >= _golds_of_each(cell):
             return "gold_leaf_full"
         if any(self._labels[label] + count > most_of_label for label, count in one.targets.items()):
@@ -355,6 +357,10 @@ class _Filling:
         if not self._seen.isdisjoint(one.programs):
             return "program_placed"
         return None
+
+    def _wants_leads_only(self, cell: InstructionCell) -> bool:
+        """Return whether a cell has no place for programs without leads, in a scene that may have some with leads."""
+        return cell.leads == "with" and self._supply.leads_of(cell) > 0
 
     def _is_full(self, cell: InstructionCell | None) -> bool:
         """Return whether a cell has all of its episodes; for None, whether there are all counterfactual groups."""
@@ -396,7 +402,9 @@ class _Filling:
             drawn: list[Candidate] = []
             if lacking > 0:
                 drawn = self._supply.more(cell, math.ceil(DRAWN_PER_PLACE * lacking), golds, moves, leads=True)
-            found = [[one] for one in drawn or self._supply.more(cell, count, golds, moves)]
+            if not drawn and not self._wants_leads_only(cell):
+                drawn = self._supply.more(cell, count, golds, moves)
+            found = [[one] for one in drawn]
         for members in found:
             one = _Try(members)
             self._tries.append(one)

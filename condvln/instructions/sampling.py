@@ -53,11 +53,11 @@ def counterfactual_group(
     since it decides between the fewest leaves. The exchanged leaves are the gold ones before and after the flip.
     """
     for index, leaf in _decisive(program):
+        if program.led_branches(leaf) != program.led_branches(program.gold_leaf()):
+            continue  # exchanged leaves would have other routes
         twin = condition_sampler.twin(program, index, draws)
         if twin is not None:
             other = flipped(program, index, twin)
-            if program.leads(leaf) != program.leads(program.gold_leaf()):
-                continue  # exchanged leaves would have other routes
             group = (
                 program,
                 other,

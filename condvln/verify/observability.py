@@ -216,7 +216,7 @@ def _check_leads(
     referents: SceneReferents,
     eye_height: float,
 ) -> None:
-    """Check that each condition with a lead can be decided from where the lead ends."""
+    """Check that each condition with a lead can be decided from where the lead ends, whatever its truth is."""
     asked: dict[tuple[Condition, Point], tuple[Proofs, Eyes]] = {}
     told = []
     for row, certificate in zip(rows, certificates, strict=True):
@@ -224,7 +224,7 @@ def _check_leads(
             for branch, stop in zip(leads_to(row.program, leaf.leaf), leaf.subgoals, strict=False):
                 key = row.program.conditions[branch.condition], stop.position
                 if key not in asked:
-                    asked[key] = proofs_of(key[0], referents, sight), Eyes(eyes_at(stop.position, eye_height))
+                    asked[key] = [_either_way(key[0], referents, sight)], Eyes(eyes_at(stop.position, eye_height))
                 told.append((certificate, key, f"condition {branch.condition}, leaf {leaf.leaf}"))
     sight.look((thing, eyes) for proofs, eyes in asked.values() for way in proofs for thing in way)
     for certificate, key, name in told:
@@ -260,6 +260,18 @@ def proofs_of(condition: Condition, referents: SceneReferents, sight: Sight) -> 
     if rivals:
         proofs.append([*(("thing", rival.object_id, 0.0) for rival in rivals), *anchor])
     return proofs
+
+
+def _either_way(condition: Condition, referents: SceneReferents, sight: Sight) -> list[Sought]:
+    """Return the targets that settle a condition for one who does not know its truth: all things that its words could
+    mean, with the anchor; and the floor, if there is no such thing or the question is whether there is one.
+    """
+    view = referents.rooms.get(condition.room.room_id)
+    meant = () if view is None else view.meant(condition.label)
+    named = [*(one.object_id for one in meant), *(condition.qualifier.anchor_ids if condition.qualifier else ())]
+    floor: Sought = ("floor", condition.room.room_id, absence_range(condition.label, sight.places))
+    asks_if_any = condition.qualifier is None or not meant
+    return [*(("thing", name, 0.0) for name in named), *([floor] if asks_if_any else [])]
 
 
 def _known(sight: Sight, proofs: Proofs, eyes: Eyes, yaw: float | None = None) -> bool:
@@ -301,12 +313,15 @@ def _check_degrees(
     if evidence.observability == "O2":
         found = [_largest(proofs, partial(onlookers.degrees, every=False))]
         if told > found[0] + HUNDREDTH:
-            found.append(_largest(proofs, partial(onlookers.degrees, every=True)))
+            most = _largest(proofs, partial(onlookers.degrees, every=True))
+            # The generator may have looked at one object from few places, and at another from all.
+            each = [onlookers.degrees(thing, every=True) for way in proofs for thing in way if thing[0] == "thing"]
+            found += [most, *(value for value in each if found[0] < value < most)]
     else:
         places = ways or [one.start]
         known = [[way for way in proofs if all(sight.is_seen(thing, eyes) for thing in way)] for eyes in places]
         found = [_largest(its, partial(sight.degrees, eyes=eyes)) for its, eyes in zip(known, places, strict=True)]
-    agreed = min(found) - HUNDREDTH <= told <= max(found) + HUNDREDTH
+    agreed = any(abs(told - value) <= HUNDREDTH for value in found)
     one.certificate.holds("degrees", agreed, evidence.degrees, found, f"condition {evidence.condition}")
 
 

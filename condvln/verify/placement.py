@@ -21,7 +21,7 @@ from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.footprints import Obstacles, Point, Reach
 from condvln.verify.program_check import leads_to
 from condvln.verify.standpoint import yaw_of
-from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, SINK, SNAP_TOLERANCE, WALL_DETOUR
+from schemas.config.constants import FURNITURE_DETOUR, GROUP_SIZE, LEAD_INSIDE, SINK, SNAP_TOLERANCE, WALL_DETOUR
 from schemas.episode import EpisodeLeaf
 from schemas.evaluation import ManifestEpisode
 from schemas.program import RoomRef
@@ -139,13 +139,19 @@ class _Checker:
         """
         judged: dict[tuple[str, tuple[Point, ...], bool], list[Verdict]] = {}
         for row, certificate in zip(rows, certificates, strict=True):
+            ends: dict[int, Point] = {}
+            goals = np.array([goal for leaf in row.leaves for goal in leaf.goals])
             for k, leaf in enumerate(row.leaves):
-                rooms = _lead_rooms(row, k) if k < len(row.program.leaves) else []
-                for j, (room, stop) in enumerate(zip(rooms, leaf.subgoals, strict=False)):
-                    inside = self._in_room(room.room_id, stop.position)
+                rooms = _lead_rooms(row, k) if k < len(row.program.leaves) else {}
+                for j, ((condition, room), stop) in enumerate(zip(rooms.items(), leaf.subgoals, strict=False)):
+                    inside = self._in_room(room.room_id, stop.position, LEAD_INSIDE - ROUNDING)
                     certificate.holds("lead_place", inside, room.room_id, stop.position, f"leaf {k}")
                     outside = j > 0 or not self._in_room(room.room_id, row.start_position)
                     certificate.holds("lead_place", outside, "a start outside", row.start_position, f"leaf {k}")
+                    end = ends.setdefault(condition, stop.position)
+                    certificate.holds("lead_place", end == stop.position, "one end for all leaves", end, f"leaf {k}")
+                    apart = float(np.linalg.norm(goals - stop.position, axis=1).min())
+                    certificate.holds("lead_place", apart > row.success_distance, "no goal there", apart, f"leaf {k}")
                 targets = [(stop.object_id, (stop.position,), False) for stop in leaf.subgoals[len(rooms) :]]
                 for target in (*targets, (leaf.object_id, leaf.goals, True)):
                     if target not in judged:
@@ -153,12 +159,13 @@ class _Checker:
                     for fact, held, claimed, found in judged[target]:
                         certificate.holds(fact, held, claimed, found, f"leaf {k}")
 
-    def _in_room(self, room_id: str, place: Point) -> bool:
-        """Return whether a place is on the floor of a room."""
+    def _in_room(self, room_id: str, place: Point, inside: float = 0.0) -> bool:
+        """Return whether a place is on the floor of a room, at least `inside` metres from its outline."""
         room = self._scene.room_of.get(room_id)
         if room is None or room.polygon is None or abs(place[1] - room.floor_y) > SINK:
             return False
-        return bool(shapely.make_valid(shapely.Polygon(room.polygon)).covers(shapely.Point(place[0], place[2])))
+        outline, point = shapely.make_valid(shapely.Polygon(room.polygon)), shapely.Point(place[0], place[2])
+        return bool(outline.covers(point)) and outline.boundary.distance(point) >= inside
 
     def _judge(self, object_id: str, places: tuple[Point, ...], are_goals: bool) -> list[Verdict]:
         away, here = self._reach.around(object_id, places)
@@ -310,15 +317,15 @@ def _objects(row: ManifestEpisode) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     numbers = [leaf.leaf for leaf in row.leaves]
     objects = [[*(stop.object_id for stop in leaf.subgoals), leaf.object_id] for leaf in row.leaves]
     moves = [
-        [*(room.room_id for room in _lead_rooms(row, k)), *(move.object_id for move in leaf.moves)]
+        [*(room.room_id for room in _lead_rooms(row, k).values()), *(move.object_id for move in leaf.moves)]
         for k, leaf in enumerate(row.program.leaves)
     ]
     return (numbers, objects), ([*range(len(moves))], moves)
 
 
-def _lead_rooms(row: ManifestEpisode, leaf: int) -> list[RoomRef]:
-    """Return the rooms of the leads on the way to a leaf."""
-    return [branch.lead for branch in leads_to(row.program, leaf) if branch.lead is not None]
+def _lead_rooms(row: ManifestEpisode, leaf: int) -> dict[int, RoomRef]:
+    """Return the rooms of the leads on the way to a leaf, by the conditions that follow."""
+    return {branch.condition: branch.lead for branch in leads_to(row.program, leaf) if branch.lead is not None}
 
 
 def _lengths(follower: Follower, walks: Sequence[PlannedWalk]) -> list[Length]:

@@ -39,6 +39,7 @@ __all__ = [
     "KEPT_AT_LEAST",
     "LANDMARK_SIZE",
     "LARGER_THAN_RECEPTACLE",
+    "LEAD_INSIDE",
     "LEVEL_CAMERA",
     "LIKE_HEIGHT",
     "LIKE_SIZE",
@@ -310,3 +311,6 @@ GROUP_TABLE: Final = 1.5
 
 SIDE_TABLE_LENGTH: Final = 1.0
 """Length of the longer side of a table up to which it may be called a side table, metres."""
+
+LEAD_INSIDE: Final = 0.5
+"""Least distance in metres, two steps, of the place at which a lead ends from the outline of its room."""

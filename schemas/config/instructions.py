@@ -53,7 +53,8 @@ class InstructionCell(Section):
     route: tuple[Finite, Finite] | None = Field(None, json_schema_extra={"unit": "m"})
     """[minimum, maximum] length of the route through the stops to every leaf"""
     leads: Literal["with", "without"] | None = None
-    """whether programs have leads, in scenes of several rooms; if not given, instructions.leads says how many have"""
+    """whether programs have leads, in scenes of several rooms with a navmesh; if not given, instructions.leads says how
+    many have"""
     words: tuple[int, int] | None = None
     """[minimum, maximum] number of words of the text, including the opening with the start heading"""
     count: int = Field(ge=1, le=10_000)

@@ -289,7 +289,7 @@ def _detour(
                 if way != NO_ROOM:
                     length += known.distance[way]
                     place = starts + known.point[way]
-            if way != NO_ROOM and k < begin + leads[leaf]:
+            if way != NO_ROOM and k == begin + leads[leaf] - 1:
                 way = _way(mesh, search, places, known, place, moves[end - 1], points, kept)
                 if way != NO_ROOM:
                     direct = length + known.distance[way]

@@ -501,6 +501,18 @@ def test_a_cell_has_its_leads_and_others_where_they_find_no_place(lost: Iterable
     assert found == led
 
 
+def test_a_cell_that_asks_for_leads_has_nothing_else() -> None:
+    cell, supply = InstructionCell(category="simple", count=12, leads="with"), Led("simple", 0, most=400)
+    more = supply.more
+    supply.leads_of = lambda cell: cell.count
+    supply.more = lambda *asked, leads=False: () if leads and len(supply.drawn) > 10 else more(*asked, leads=leads)
+    lost = [f"{k}" for k in range(0, 400, 2)]
+    pool = fill_pool(supply, Anywhere(lost), (cell,), 1.0, lambda _: False, None, 0, lambda _: 2 * ((1.0,),))
+    assert 0 < len(pool.episodes) < 12
+    assert all(episode.program.branches[0].lead is not None for episode in pool.episodes)
+    assert len(supply.drawn) == pool.candidates[cell], "none without leads was asked for"
+
+
 def test_a_cell_that_can_not_be_filled_draws_all_that_there_is_and_no_more() -> None:
     cell, rest = InstructionCell(category="simple", count=12), InstructionCell(category="nested", count=1)
     supply = ToOrder("simple", 0, most=30)

@@ -193,7 +193,7 @@ def test_a_half_removed_old_export_leaves_nothing_in_the_new_one(out: Path, monk
     [
         ("none", 10),
         ("other", 10),
-        *(pytest.param(name, 2, marks=pytest.mark.soak) for name in ("none", "other", "same")),
+        *(pytest.param(name, 1, marks=pytest.mark.soak) for name in ("none", "other", "same")),
     ],
 )
 def test_killed_at_every_so_many_changes_of_the_disk(tmp_path: Path, way: str, former: str, step: int) -> None:

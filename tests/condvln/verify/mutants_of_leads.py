@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from mutation import Document, Files, World, mutator, pick
 
 
@@ -52,6 +53,34 @@ def pass_a_lead_by(files: Files, rng: np.random.Generator, world: World) -> bool
     del pick(rng, leaves)["subgoals"][0]
     files.repeat_gold()
     return True
+
+
+@mutator
+def lead_elsewhere_in_one_leaf(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """On the way to one of several leaves, a lead ends a hand's breadth beside where it ends for the others."""
+    stops = _lead_stops(files)
+    shared = [stop for stop in stops if sum(one["position"] == stop["position"] for one in stops) > 1]
+    if not shared:
+        return False
+    pick(rng, shared)["position"][0] += 0.1
+    files.repeat_gold()
+    return True
+
+
+@mutator
+def lead_at_the_wall(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """For all leaves, a lead ends on the outline of its room."""
+    stops = _lead_stops(files)
+    if not stops:
+        return False
+    stop = pick(rng, stops)
+    (x, y, z), room = stop["position"], world.scene.room_of[stop["object_id"]]
+    point = shapely.Polygon(room.polygon).boundary.interpolate(0.1)
+    for one in stops:
+        if one["object_id"] == stop["object_id"]:
+            one["position"] = [round(point.x, 3), y, round(point.y, 3)]
+    files.repeat_gold()
+    return (x, z) != (point.x, point.y)
 
 
 @mutator

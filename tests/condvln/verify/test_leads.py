@@ -14,8 +14,15 @@ from condvln.verify.proof import prove_scene
 from condvln.verify.surfaces import Shapes
 
 sys.path.insert(0, str(Path(__file__).parent))
-from mutants_of_leads import lead_nowhere, lead_to_another_room, leave_a_lead_out, pass_a_lead_by
-from mutation import Files
+from mutants_of_leads import (
+    lead_at_the_wall,
+    lead_elsewhere_in_one_leaf,
+    lead_nowhere,
+    lead_to_another_room,
+    leave_a_lead_out,
+    pass_a_lead_by,
+)
+from mutation import Files, World
 
 
 def _faults(made_export, mutate) -> list[set[str]]:
@@ -26,7 +33,7 @@ def _faults(made_export, mutate) -> list[set[str]]:
         mutants = []
         for row in run.rows:
             files = Files.of(row)
-            if row.manifest.leads and row.manifest.group_id is None and mutate(files, rng, None):
+            if row.manifest.leads and row.manifest.group_id is None and mutate(files, rng, World(scene, {})):
                 mutants.append(files.row(row.split))
         sound = next(row for row in run.rows if row.manifest.group_id is None)
         rows = [sound, *mutants]
@@ -44,7 +51,9 @@ def _faults(made_export, mutate) -> list[set[str]]:
         (lead_to_another_room, {"leads", "text_conditions", "text_reading"}),
         (leave_a_lead_out, {"leaf_objects"}),
         (pass_a_lead_by, {"leaf_objects"}),
-        (lead_nowhere, {"lead_place", "start_apart"}),
+        (lead_nowhere, {"lead_place"}),
+        (lead_elsewhere_in_one_leaf, {"lead_place"}),
+        (lead_at_the_wall, {"lead_place"}),
         (lead_nowhere, {"lead_seen"}),
     ],
 )
