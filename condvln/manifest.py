@@ -153,7 +153,10 @@ def published_row(episode: ManifestEpisode) -> dict[str, Any]:
             **leaf,
             "goals": [_point(p) for p in leaf["goals"]],
             "reference_path": [_point(p) for p in leaf["reference_path"]],
-            "subgoals": [{**stop, "position": _point(stop["position"])} for stop in leaf["subgoals"]],
+            "subgoals": [
+                {**stop, "position": _point(stop["position"]), "outline": _corners(stop["outline"])}
+                for stop in leaf["subgoals"]
+            ],
         }
         for leaf in row["leaves"]
     ]
@@ -165,6 +168,10 @@ def published_row(episode: ManifestEpisode) -> dict[str, Any]:
         "start_heading_degrees": heading_degrees(heading_of(row["start_rotation"])),
         "looking_path": None if looking is None else [_point(p) for p in looking],
     }
+
+
+def _corners(outline: Sequence[Sequence[float]] | None) -> list[dict[str, float]] | None:
+    return None if outline is None else [dict(zip("xz", corner, strict=True)) for corner in outline]
 
 
 def _point(position: Sequence[float]) -> dict[str, float]:

@@ -253,7 +253,7 @@ class World:
         assert scene.navmesh is not None
         programs = {episode.instruction_id: episode.program for episode in pool.episodes}
         compositions = {name: composition(program) for name, program in programs.items()}
-        placements = placements_table(scene.scene_id, pool, compositions, scene.navmesh.sha256)
+        placements = placements_table(scene, pool, compositions, scene.navmesh.sha256)
         _, texts = published_texts(programs, placements.to_pylist(), text, wording, seed)
         instruction_of = {
             row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, programs.items()))

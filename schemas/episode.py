@@ -38,6 +38,9 @@ class Subgoal(Document):
 
     object_id: str
     position: Vec3
+    outline: tuple[tuple[Finite, Finite], ...] | None = None
+    """corners (x, z) of the room of a lead, implicitly closed, metres: whoever is in there has followed the lead; null
+    for an object"""
 
 
 class EpisodeLeaf(Document):

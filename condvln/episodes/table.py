@@ -14,7 +14,7 @@ from condvln.episodes.looking import LookingPath
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import EpisodePool, PooledEpisode
-from condvln.scene import round_mm
+from condvln.scene import Room, Scene, round_mm
 from schemas.config import InstructionCell, StepBudget
 from schemas.config.constants import GROUP_SIZE
 from schemas.tables import EPISODES, FUNNEL, REJECTIONS
@@ -40,18 +40,16 @@ PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS
 Row = dict[str, Any]
 
 
-def placements_table(
-    scene_id: str, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str
-) -> pa.Table:
-    """Return the pool's episodes as PLACEMENTS rows. `compositions` has the composition of each instruction, by
-    instruction id.
+def placements_table(scene: Scene, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str) -> pa.Table:
+    """Return the pool's episodes in a scene as PLACEMENTS rows. `compositions` has the composition of each instruction,
+    by instruction id.
     """
     rows = [
         {
-            "scene_id": scene_id,
+            "scene_id": scene.scene_id,
             "composition": compositions[episode.instruction_id],
             "navmesh_sha256": navmesh_sha256,
-            **_placement(scene_id, episode),
+            **_placement(scene, episode),
             **_seen(episode.observation),
             **_looking(episode.looking),
         }
@@ -60,10 +58,10 @@ def placements_table(
     return pa.Table.from_pylist(rows, schema=PLACEMENTS)
 
 
-def _placement(scene_id: str, episode: PooledEpisode) -> Row:
+def _placement(scene: Scene, episode: PooledEpisode) -> Row:
     """Return the columns that follow from the program and its placement."""
     program, placement = episode.program, episode.placement
-    name = content_hash(scene_id, episode.instruction_id, placement.start, placement.yaw)
+    name = content_hash(scene.scene_id, episode.instruction_id, placement.start, placement.yaw)
     gold = program.gold_leaf()
     stated, placed = program.leaves[gold], placement.leaves[gold]
     return {
@@ -82,7 +80,7 @@ def _placement(scene_id: str, episode: PooledEpisode) -> Row:
         "start_heading_degrees": heading_degrees(placement.yaw),
         "geodesic_distance": placed.geodesic_distance,
         "route_length": placed.route.length,
-        "leaves": [_leaf(k, leaf) for k, leaf in enumerate(placement.leaves)],
+        "leaves": [_leaf(k, leaf, scene) for k, leaf in enumerate(placement.leaves)],
         "success_distance": placement.success_distance,
         "ground_truth_steps": placement.steps,
         "actions": placed.walk.actions.tolist(),
@@ -111,18 +109,25 @@ def _looking(found: LookingPath | None) -> Row:
     return dict(zip(LOOKING_COLUMNS, values, strict=True))
 
 
-def _leaf(number: int, leaf: PlacedLeaf) -> Row:
+def _leaf(number: int, leaf: PlacedLeaf, scene: Scene) -> Row:
     *stops, goal = leaf.objects
     places = _points(leaf.route.stops)
     return {
         "leaf": number,
         "object_id": goal,
         "goals": _points(leaf.goals),
-        "subgoals": [{"object_id": k, "position": place} for k, place in zip(stops, places[:-1], strict=True)],
+        "subgoals": [
+            {"object_id": k, "position": place, "outline": _outline(scene.room_of.get(k))}
+            for k, place in zip(stops, places[:-1], strict=True)
+        ],
         "reference_path": _points(leaf.route.path),
         "geodesic_distance": leaf.geodesic_distance,
         "route_length": leaf.route.length,
     }
+
+
+def _outline(room: Room | None) -> list[dict[str, float]] | None:
+    return None if room is None or room.polygon is None else [{"x": x, "z": z} for x, z in room.polygon.tolist()]
 
 
 def _points(values: NDArray[Any]) -> list[dict[str, float]]:

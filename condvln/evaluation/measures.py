@@ -11,6 +11,7 @@ from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 from scipy.spatial import cKDTree
 
 from condvln.evaluation.goal_distances import Nearness, SnappedPath
@@ -41,6 +42,9 @@ Points = npt.NDArray[np.float64]
 
 FIDELITY_DISTANCE: Final = 3.0
 """Metres; the distance threshold of nDTW and CLS in R2R and VLN-CE, independent of the success distance."""
+
+ROOM_HEIGHT: Final = 1.0
+"""Largest difference in metres between the height of a position and that of a lead's point, on the floor of one room."""
 
 _NOTHING: Final = 1e-6
 """Length in metres below which a path counts as having no length."""
@@ -204,13 +208,33 @@ as in the authors' fork of Open-Nav, or in any order by straight lines as in the
 """
 
 
-def reached_in_order(nearness: Nearness, path: SnappedPath, subgoals: Points, radius: float) -> int:
+def reached_in_order(
+    nearness: Nearness, path: SnappedPath, subgoals: Points, radius: float, outlines: Sequence[Points | None] = ()
+) -> int:
     """Return the length of the longest prefix of ``subgoals`` (m, 3) reached in order, within a geodesic ``radius``
-    (metres).
+    (metres) or in the room of a lead.
 
     One position may reach several subgoals; the start counts.
+
+    outlines : of each subgoal, the corners (k, 2) of a room, x and z, in which it is reached anywhere on its floor;
+        None for a point
     """
-    return prefix_in_order(len(subgoals), lambda k, at: nearness.first_within(path, subgoals[k], radius, at))
+
+    def first(k: int, at: int) -> int | None:
+        found = [nearness.first_within(path, subgoals[k], radius, at)]
+        if k < len(outlines) and (outline := outlines[k]) is not None:
+            found.append(_first_inside(path.positions, outline, subgoals[k], at))
+        return min((one for one in found if one is not None), default=None)
+
+    return prefix_in_order(len(subgoals), first)
+
+
+def _first_inside(positions: Points, outline: Points, subgoal: Points, begin: int) -> int | None:
+    """Return the first of ``positions`` (n, 3), from index ``begin`` on, on the floor of the subgoal's room."""
+    room = shapely.make_valid(shapely.Polygon(outline))
+    level = np.abs(positions[begin:, 1] - subgoal[1]) <= ROOM_HEIGHT
+    inside = np.flatnonzero(level & shapely.covers(room, shapely.points(positions[begin:, ::2])))
+    return begin + int(inside[0]) if len(inside) else None
 
 
 def prefix_in_order(subgoals: int, first_from: Callable[[int, int], int | None]) -> int:

@@ -277,7 +277,7 @@ def _reached(task: Task, walk: _Walk, nearness: Nearness, rules: ScoreRules, rad
         return reached_in_order_euclidean(walk.path.positions, task.gold.subgoals, radius)
     if rules.distance == "euclidean-any-order":
         return reached_in_any_order_euclidean(walk.path.positions, task.gold.subgoals, radius)
-    return reached_in_order(nearness, walk.path, task.gold.subgoals, radius)
+    return reached_in_order(nearness, walk.path, task.gold.subgoals, radius, task.gold.outlines)
 
 
 def branch_measures(task: Task, reached: int, leaf: int, success: bool) -> dict[str, Any]:

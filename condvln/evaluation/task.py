@@ -30,6 +30,8 @@ class LeafTask:
 
     goals : (k, 3) metres, the one nearest to the start first; subgoals : (m, 3) in order; path : (c, 3) its corners
     objects : ids of the objects of the subgoals and, last, of the goals
+    outlines : of each subgoal, the corners (k, 2) of the room in which it is reached anywhere, x and z; None for one
+        that is a point
     """
 
     goals: Points
@@ -38,6 +40,7 @@ class LeafTask:
     geodesic_distance: float
     path: Points
     objects: tuple[str, ...]
+    outlines: tuple[Points | None, ...] = ()
 
     @property
     def end(self) -> Points:
@@ -125,6 +128,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None, looking: Poin
             leaf.geodesic_distance,
             np.array(leaf.reference_path, dtype=np.float64),
             (*(subgoal.object_id for subgoal in leaf.subgoals), leaf.object_id),
+            tuple(None if stop.outline is None else np.array(stop.outline, np.float64) for stop in leaf.subgoals),
         )
         for leaf in sorted(row.leaves, key=lambda leaf: leaf.leaf)
     )

@@ -146,18 +146,27 @@ class _Checker:
                 for j, ((condition, room), stop) in enumerate(zip(rooms.items(), leaf.subgoals, strict=False)):
                     inside = self._in_room(room.room_id, stop.position, LEAD_INSIDE - ROUNDING)
                     certificate.holds("lead_place", inside, room.room_id, stop.position, f"leaf {k}")
+                    told, own = stop.outline, self._outline(room.room_id)
+                    same = told is not None and own is not None and np.array_equal(told, own)
+                    certificate.holds("lead_place", same, "the outline of its room", room.room_id, f"leaf {k}")
                     outside = j > 0 or not self._in_room(room.room_id, row.start_position)
                     certificate.holds("lead_place", outside, "a start outside", row.start_position, f"leaf {k}")
                     end = ends.setdefault(condition, stop.position)
                     certificate.holds("lead_place", end == stop.position, "one end for all leaves", end, f"leaf {k}")
                     apart = float(np.linalg.norm(goals - stop.position, axis=1).min())
                     certificate.holds("lead_place", apart > row.success_distance, "no goal there", apart, f"leaf {k}")
+                plain = all(stop.outline is None for stop in leaf.subgoals[len(rooms) :])
+                certificate.holds("lead_place", plain, "no outline of an object", plain, f"leaf {k}")
                 targets = [(stop.object_id, (stop.position,), False) for stop in leaf.subgoals[len(rooms) :]]
                 for target in (*targets, (leaf.object_id, leaf.goals, True)):
                     if target not in judged:
                         judged[target] = self._judge(*target)
                     for fact, held, claimed, found in judged[target]:
                         certificate.holds(fact, held, claimed, found, f"leaf {k}")
+
+    def _outline(self, room_id: str) -> F64 | None:
+        room = self._scene.room_of.get(room_id)
+        return None if room is None else room.polygon
 
     def _in_room(self, room_id: str, place: Point, inside: float = 0.0) -> bool:
         """Return whether a place is on the floor of a room, at least `inside` metres from its outline."""

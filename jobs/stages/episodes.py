@@ -213,9 +213,7 @@ class EpisodeStage(Stage):
         table, sha256 = instruction_table(scene.scene_id, kept), None if scene.navmesh is None else scene.navmesh.sha256
         keep_programs(table, dict(kept))
         compositions = dict(zip(names, table["composition"].to_pylist(), strict=False))
-        placements = (
-            PLACEMENTS.empty_table() if sha256 is None else placements_table(scene.scene_id, pool, compositions, sha256)
-        )
+        placements = PLACEMENTS.empty_table() if sha256 is None else placements_table(scene, pool, compositions, sha256)
         return StageOutput(
             tables={
                 "programs": table,

@@ -9,8 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.episodes.identity import colliding, content_hash, numeric_id
-from condvln.episodes.pool import EpisodePool
-from condvln.episodes.table import placements_table
 
 HASHES = st.text("0123456789abcdef", min_size=2, max_size=2)
 
@@ -41,7 +39,3 @@ def test_of_each_id_the_smallest_hash_stays(rows: list[tuple[int, str]]) -> None
     ids, hashes = [row[0] for row in rows], [row[1] for row in rows]
     lost = colliding(ids, hashes)
     assert lost == [k for k, (number, name) in enumerate(rows) if name > min(h for i, h in rows if i == number)]
-
-
-def test_a_table_without_placements_has_no_rows() -> None:
-    assert placements_table("flat", EpisodePool(), {}, "").num_rows == 0

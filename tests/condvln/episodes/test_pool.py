@@ -130,7 +130,7 @@ def test_a_cell_bounds_the_routes_to_all_leaves(flat) -> None:
     assert pool.placed[cells[3]] == 0
     reasons = {reason for (cell, reason) in pool.rejections if cell == cells[3]}
     assert reasons == {"route_missed", "program_placed"}, "no way is so long"
-    rows = placements_table("flat", pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
+    rows = placements_table(flat[0], pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
     for row, episode in zip(rows, pool.episodes, strict=True):
         least, most = episode.candidate.cell.route
         assert all(least <= leaf["route_length"] <= most for leaf in row["leaves"])
@@ -186,7 +186,7 @@ def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:
         assert row["candidates"] == sum(c.cell == cell for c in candidates) == rejected + placed
         assert (row["rejected"], row["placed"], row["wanted"]) == (rejected, placed, cell.count)
     assert {r["reason"] for r in rejections} <= set(REASONS)
-    rows = placements_table("flat", pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
+    rows = placements_table(flat[0], pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
     for row, episode in zip(rows, pool.episodes, strict=True):
         assert row["observability"] == episode.observation.observability
         (evidence,) = episode.observation.evidence
@@ -612,7 +612,7 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     placer = placer_of(scene, pathfinder)
     candidates = quadruple("sofa", "sink", "bed", "g")
     pool = filled_from(candidates, placer, (), groups=1)
-    placements = placements_table("flat", pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
+    placements = placements_table(flat[0], pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
     names = placements["episode_id"].to_pylist()
     texts = {name: " ".join(["word"] * (12 + k)) for k, name in enumerate(names)}
     rows = with_text(placements, texts, "proportional", 10).to_pylist()

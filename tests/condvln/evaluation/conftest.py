@@ -94,6 +94,7 @@ def task_with(
             float(leaf.get("geodesic_distance", 1.0)),
             np.array([start, *leaf.get("subgoals", []), leaf["goals"][0]], float),
             (*(f"stop at {[*map(float, stop)]}" for stop in leaf.get("subgoals", [])), f"goal {number}"),
+            tuple(None if room is None else np.array(room, float) for room in leaf.get("outlines", [])),
         )
         for number, leaf in enumerate(leaves)
     )

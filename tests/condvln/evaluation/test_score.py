@@ -244,6 +244,20 @@ def test_one_pose_reaches_several_subgoals_here_and_one_there() -> None:
     assert scored(path, ScoreRules(distance="euclidean"), leaves=far).bsa == 0.5
 
 
+def test_a_lead_is_reached_anywhere_in_its_room() -> None:
+    room = [[4, -2], [8, -2], [8, 4], [4, 4]]
+    leaves = [{"goals": [[9, 0, 0]], "subgoals": [[6, 0, 3], [9, 0, 0]], "outlines": [room, None]}, TWO[1]]
+    through, past = walk([0, 0, 0], [4, 0, -1], [9, 0, 0]), walk([0, 0, 0], [3, 0, -1], [9, 0, 0])
+    assert [scored(path, leaves=leaves).bsa_all for path in (through, past)] == [1, 0]
+    pointed = [{**leaves[0], "outlines": [None, None]}, TWO[1]]
+    assert scored(through, leaves=pointed).bsa_all == 0, "no room, no outline"
+    assert scored(through, ScoreRules(distance="euclidean"), leaves=leaves).bsa_all == 0, "the authors know points"
+    upstairs = [{**leaves[0], "subgoals": [[6, 2.5, 3], [9, 0, 0]]}, TWO[1]]
+    assert scored(through, leaves=upstairs).bsa_all == 0, "a room on another storey"
+    late = [{**leaves[0], "subgoals": [[9, 0, 0], [6, 0, 3]], "outlines": [None, room]}, TWO[1]]
+    assert scored(through, leaves=late).bsa_all == 0.5, "in order"
+
+
 def test_subgoals_count_in_order() -> None:
     leaves = [{"goals": [[9, 0, 0]], "subgoals": [[6, 0, 0], [3, 0, 0]]}, TWO[1]]
     assert scored(walk([0, 0, 0], [3, 0, 0], [6, 0, 0], [9, 0, 0]), leaves=leaves).bsa == 0.5

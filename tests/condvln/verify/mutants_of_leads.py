@@ -92,3 +92,15 @@ def lead_nowhere(files: Files, rng: np.random.Generator, world: World) -> bool:
     pick(rng, stops)["position"] = list(files.manifest["start_position"])
     files.repeat_gold()
     return True
+
+
+@mutator
+def lead_reached_elsewhere(files: Files, rng: np.random.Generator, world: World) -> bool:
+    """The outline of a lead's room has one corner more than the room, a metre outside."""
+    stops = [stop for stop in _lead_stops(files) if stop["outline"]]
+    if not stops:
+        return False
+    outline = pick(rng, stops)["outline"]
+    outline.append([outline[0][0] - 1.0, outline[0][1] - 1.0])
+    files.repeat_gold()
+    return True

@@ -18,6 +18,7 @@ from mutants_of_leads import (
     lead_at_the_wall,
     lead_elsewhere_in_one_leaf,
     lead_nowhere,
+    lead_reached_elsewhere,
     lead_to_another_room,
     leave_a_lead_out,
     pass_a_lead_by,
@@ -54,6 +55,7 @@ def _faults(made_export, mutate) -> list[set[str]]:
         (lead_nowhere, {"lead_place"}),
         (lead_elsewhere_in_one_leaf, {"lead_place"}),
         (lead_at_the_wall, {"lead_place"}),
+        (lead_reached_elsewhere, {"lead_place"}),
         (lead_nowhere, {"lead_seen"}),
     ],
 )
