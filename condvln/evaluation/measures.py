@@ -44,7 +44,7 @@ FIDELITY_DISTANCE: Final = 3.0
 """Metres; the distance threshold of nDTW and CLS in R2R and VLN-CE, independent of the success distance."""
 
 ROOM_HEIGHT: Final = 1.0
-"""Largest difference in metres between the height of a position and that of a lead's point, on the floor of one room."""
+"""Largest difference in metres between the heights of a position and of a lead's point, on the floor of one room."""
 
 _NOTHING: Final = 1e-6
 """Length in metres below which a path counts as having no length."""

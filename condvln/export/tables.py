@@ -116,7 +116,9 @@ def _pieces(batches: Iterator[pa.RecordBatch]) -> Iterator[tuple[str, pa.RecordB
 
 
 def rows_of(batch: pa.RecordBatch | pa.Table) -> list[Row]:
-    """Return the rows of ``batch``; structs of x, z or x, y, z (w) become lists, other structs dictionaries, nulls None."""
+    """Return the rows of ``batch``; structs of x, z or x, y, z (w) become lists, other structs dictionaries, nulls
+    None.
+    """
     if isinstance(batch, pa.Table):
         return [row for part in batch.to_batches() for row in rows_of(part)]
     return _records(batch.schema.names, [_values(column) for column in batch.columns])

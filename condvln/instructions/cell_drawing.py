@@ -37,6 +37,7 @@ class WantedCell:
     bearings : most egocentric statements of a program
     egocentric : whether conditions may be egocentric
     leads : whether programs have leads
+    compass : share of the programs that may use compass words, in at most `compass_phrases` phrases
     """
 
     category: Category
@@ -48,6 +49,8 @@ class WantedCell:
     bearings: int
     egocentric: bool
     leads: bool
+    compass: float
+    compass_phrases: int
 
 
 @dataclass(slots=True)
@@ -100,7 +103,7 @@ class CellDrawing:
         self._dealt: list[int] = []
         self._move_sums = [*accumulate(wanted.move_shares)]
         self.leads = wanted.leads
-        self._gold = 0
+        self._gold = self._compass = 0
         self._composition: Composition | None = None
         self.moves: tuple[int, ...] = ()
         """Number of moves of each leaf in the shape that was drawn last."""
@@ -160,6 +163,7 @@ class CellDrawing:
         if any(wanted.compositions.values()):
             self._composition = draws.weighted([*wanted.compositions], [*wanted.compositions.values()])
         self.moves = tuple([wanted.moves or 1 + draws.cumulative(self._move_sums) for _ in range(self._leaves)])
+        self._compass = wanted.compass_phrases if draws.uniform() < wanted.compass else 0
         self._goal_weights = self._stops.goal_weights(self._seen.used, wanted.label_cap)
         reason = self._stops.impossible(self._composition, self.moves)
         if reason is None:
@@ -195,6 +199,8 @@ class CellDrawing:
         assert self._composition is not None
         stops, targets, luck = self._stops, self._stops.targets, draws.uniform()
         room_ids, held = stops.draw_rooms(self._composition, self.moves, draws)
+        if not self._compass:
+            held &= stops.plain
         goals = stops.draw_goals(self._leaves, max(self.moves) - 1, held, self._goal_weights, draws)
         things = {(targets[k].room_id, targets[k].label) for k in goals}
         if self._conditions.fails(luck, room_ids, things):
@@ -208,10 +214,17 @@ class CellDrawing:
         rooms = self._names.draw_rooms(room_ids, said, draws)
         starts = [room_id for room_id in sorted(room_ids) if room_id in self._conditions.start_rooms]
         start_room = draws.choice(starts) if starts and wanted.egocentric else None
-        named, bearings = self._name_stops(leaves, rooms, start_room, said)
+        named, bearings, compass = self._name_stops(leaves, rooms, start_room, said)
         excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), rooms.values())
         statements = self._conditions.draw(
-            truths, [*rooms.values()], excluded, draws, luck=luck, start_room=start_room, bearings=bearings
+            truths,
+            [*rooms.values()],
+            excluded,
+            draws,
+            luck=luck,
+            start_room=start_room,
+            bearings=bearings,
+            compass=compass,
         )
         if statements is None:
             rejected.update(rule for rule, statements in excluded.by_rule.items() if statements)
@@ -227,12 +240,13 @@ class CellDrawing:
 
     def _name_stops(
         self, leaves: Sequence[Sequence[int]], rooms: Mapping[str, RoomRef], start_room: str | None, said: Said
-    ) -> tuple[list[list[StopName]], int]:
-        """Return the names of the stops of all leaves, and the number of egocentric statements left for conditions. An
-        object has the same name in all leaves.
+    ) -> tuple[list[list[StopName]], int, int]:
+        """Return the names of the stops of all leaves, and the numbers of egocentric statements and of compass words
+        left for conditions. An object has the same name in all leaves.
         """
         # Each additional egocentric statement leaves fewer starts. At least one is left for a condition.
-        bearings, known, stops = self._wanted.bearings, dict[int, StopName](), list[list[StopName]]()
+        bearings, compass = self._wanted.bearings, self._compass
+        known, stops = dict[int, StopName](), list[list[StopName]]()
         for leaf in leaves:
             stops.append([])
             for k in leaf:
@@ -240,11 +254,18 @@ class CellDrawing:
                     target = self._stops.targets[k]
                     here = target.room_id == start_room and bearings > 1
                     known[k] = self._names.draw_stop(
-                        target, rooms[target.room_id], here, len(rooms) == 1, said, self._draws
+                        target,
+                        rooms[target.room_id],
+                        said,
+                        self._draws,
+                        egocentric=here,
+                        compass=compass > 0,
+                        alone=len(rooms) == 1,
                     )
+                    compass -= known[k].compass
                 stops[-1].append(known[k])
                 bearings -= known[k].egocentric
-        return stops, bearings
+        return stops, bearings, compass
 
 
 @cache

@@ -14,7 +14,7 @@ from condvln.instructions.conditions import ConditionPool, Form, Statements
 from condvln.instructions.conflicts import Conflicts, RuledOut, members
 from condvln.instructions.degeneracy import Claim
 from condvln.instructions.expected_draws import FULL_MASS
-from condvln.instructions.predicates import PREDICATE_GROUPS
+from condvln.instructions.predicates import COMPASS, PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
@@ -126,6 +126,7 @@ class ConditionSampler:
     rooms : ids of the rooms that have true and false statements
     start_rooms : ids of the rooms where egocentric conditions are possible, if the start is there
     conflicts : what excludes each statement
+    compass : the statements with compass words
     """
 
     def __init__(
@@ -159,6 +160,11 @@ class ConditionSampler:
                 form: self._number(own, name, labels, claims) for form, own in pools if own is not None
             }
         self.conflicts = Conflicts(claims, vocabulary)
+        self.compass = 0
+        for forms in self._forms.values():
+            for form, own in forms.items():
+                if form is not None and form[0] in COMPASS:
+                    self.compass |= own.members[False] | own.members[True]
         self._chances = {
             (name, start): self._chances_of(name, start) for name in self._rooms for start in (False, True)
         }
@@ -236,6 +242,7 @@ class ConditionSampler:
         luck: float,
         start_room: str | None,
         bearings: int,
+        compass: int,
     ) -> list[AskedStatement] | None:
         """Return one statement for each of `truths`, such that one of the other truth could be in its place; None if
         none is found for some truth.
@@ -251,11 +258,12 @@ class ConditionSampler:
         excluded : what the stops of the text exclude; what the drawn statements exclude is added
         luck : a uniform that decides whether the first statement is found; see `fails`
         bearings : most egocentric statements; they are about `start_room`
+        compass : most statements with compass words
         """
         asked = {room.room_id: room for room in rooms}
         found: list[AskedStatement] = []
         for truth in truths:
-            gone = excluded.union
+            gone = excluded.union | (0 if compass > 0 else self.compass)
             left = self._left(asked, start_room if bearings > 0 else None, gone)
             if (draws.uniform() if found else luck) < left.failing:
                 return None
@@ -265,6 +273,7 @@ class ConditionSampler:
             excluded.add(claim)
             found.append(AskedStatement(number, asked[claim.room_id]))
             bearings -= form.egocentric
+            compass -= self.compass >> number & 1
         return found
 
     def fails(self, luck: float, room_ids: Sequence[str], stops: Iterable[tuple[str, str]]) -> bool:

@@ -263,6 +263,7 @@ REASONS: Final[dict[str, str]] = {
     "no_waypoint": "no further stop is far enough from the leaf's other stops and the other leaves' goals",
     "one_first_stop": "more than half of the leaves begin with the same stop",
     "no_condition": "every statement of the wanted truth violates a rule",
+    "compass_words": "a stop has no name without one more compass word",
     "composition_missed": "the draw does not have the composition that the cell asks for",
     "words_missed": "the text has fewer or more words than the cell asks for",
     "no_twin": "no condition that decides the gold leaf has a counterpart of the opposite truth",

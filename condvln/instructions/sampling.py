@@ -301,6 +301,8 @@ class ProgramSampler:
             # Evidence that must be in the first view is never behind, so "behind" would reveal the truth.
             egocentric=cell.observability != "O0f",
             leads=leads,
+            compass=self.sampling.compass_share,
+            compass_phrases=self.sampling.compass_phrases,
         )
 
     def leads_of(self, cell: InstructionCell) -> float:

@@ -63,6 +63,7 @@ class StopSampler:
     targets : the targets, by their numbers
     weights : weight of each label of a target
     kinds : number of types of rooms
+    plain : the targets with a name without a compass word
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class StopSampler:
         self._apart, self._alike = _sets(found.apart), _sets(found.alike)
         self._of_label = self._grouped(target.label for target in found.targets)
         self._clear = self._grouped(target.clear for target in found.targets).get(True, 0)
+        self.plain = self._grouped(target.plain for target in found.targets).get(True, 0)
         self._held = dict.fromkeys(types, 0) | self._grouped(target.room_id for target in found.targets)
         kinds = [*dict.fromkeys(types.values())]
         self._by_type = sorted(types, key=lambda room_id: kinds.index(types[room_id]))

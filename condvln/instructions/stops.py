@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.instructions.degeneracy import GivenUp, is_circular
-from condvln.instructions.predicates import GROUP_OF
+from condvln.instructions.predicates import COMPASS, GROUP_OF
 from condvln.instructions.referents import ALTERNATIVES, Referents
 from condvln.labels import Vocabulary
 from condvln.labels.lists import worth
@@ -66,6 +66,7 @@ class Target:
     weight : how often it is a stop, relative to others, above 0
     clear : the object has a name other than those used only if nothing else can be named ("the chair away from the
         desk")
+    plain : the object has a name without a compass word
     """
 
     object_id: str
@@ -75,6 +76,7 @@ class Target:
     label: str
     weight: float
     clear: bool
+    plain: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +142,7 @@ def targets(
             label=referents[room_id].arrays.labels[i],
             weight=_worth(referents[room_id], i),
             clear=_is_clear(referents[room_id], i, sampling),
+            plain=_is_plain(referents[room_id], i),
         )
         for k, (room_id, i, _) in enumerate(chosen)
     )
@@ -177,6 +180,11 @@ def _is_clear(referents: Referents, index: int, sampling: SamplingConfig) -> boo
     return bool(referents.unique[index]) or any(getattr(sampling.predicates, group) > 0.0 for group in groups)
 
 
+def _is_plain(referents: Referents, index: int) -> bool:
+    """Return whether an object has a name without a compass word."""
+    return bool(referents.unique[index]) or any(q.predicate not in COMPASS for q in referents.qualifications[index])
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class StopName:
     """One name of a stop. Each is made once, and is equal to itself only.
@@ -188,6 +196,11 @@ class StopName:
     anchors: tuple[str, ...]
     group: str
     egocentric: bool
+
+    @property
+    def compass(self) -> bool:
+        """Whether the name has a compass word."""
+        return self.group == "compass"
 
 
 class Said:
@@ -248,10 +261,20 @@ class StopNames:
         return found
 
     def draw_stop(
-        self, target: Target, room: RoomRef, egocentric: bool, alone: bool, said: Said, draws: Draws
+        self,
+        target: Target,
+        room: RoomRef,
+        said: Said,
+        draws: Draws,
+        *,
+        egocentric: bool,
+        compass: bool,
+        alone: bool,
     ) -> StopName:
         """Return a name of a target, by its weight, and add what it names to `said`. No name relies on an object with a
         label that was said of another room, unless the text names one room `alone`.
+
+        egocentric, compass : whether the name may be egocentric, or have a compass word
 
         Raises
         ------
@@ -263,6 +286,9 @@ class StopNames:
         names = [name for name in names if egocentric or not name.egocentric]
         if not names:
             raise GivenUp("circular")
+        names = [name for name in names if compass or not name.compass]
+        if not names:
+            raise GivenUp("compass_words")
         if not alone:
             names = [name for name in names if not any(said.means(x, outside=room.room_id) for x in name.anchors)]
             if not names:

@@ -171,6 +171,7 @@ def bounds_of(predicate: str, t: Thresholds, *, denied: bool = False) -> tuple[B
         *(Bounds(off, true=("≤", limit), false=away) for off, limit in zip(OFF, limits, strict=True)),
         Bounds("elevation", true=("<", t.level)),
         Bounds("horizontal", true=("≥", t.sector_horizontal_true)),
+        Bounds("horizontal", true=("≤", t.sector_within), false=("≤", t.sector_within) if denied else None),
     )
 
 
@@ -271,7 +272,7 @@ def fact_of(predicate: str, q: Quantities, s: Stacking, t: Thresholds, container
 
 
 def denies(predicate: str, q: Quantities, t: Thresholds) -> Mask:
-    """Return for which pairs a condition may deny a compass direction, judged by the angles alone, (n, n)."""
+    """Return for which pairs a condition may deny a compass direction, (n, n)."""
     bounds = bounds_of(predicate, t, denied=True)
     return reduce(np.logical_and, [_meets(q, one.quantity, one.false) for one in bounds if one.false])
 

@@ -148,7 +148,7 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     for predicate in COMPASS:
         off = deviations(azimuths, predicate)
         facts[predicate] = _each(pieces, said(predicate, off))
-        denied[predicate] = pieces.all(denies(predicate, off, t) & ~stacking.over)
+        denied[predicate] = pieces.all(denies(predicate, off | {"horizontal": metrics.horizontal}, t) & ~stacking.over)
     return TextFacts(
         status={predicate: facts[predicate].status for predicate in PAIR_PREDICATES},
         margin={predicate: facts[predicate].margin for predicate in PAIR_PREDICATES},

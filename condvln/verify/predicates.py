@@ -118,7 +118,7 @@ class Judge:
             return is_higher(subject, anchor, room, self._t)
         if predicate in ("above", "below"):
             return is_above(subject, anchor, room, self._t)
-        return self._beside(predicate, subject, anchor, self._t.sector_denied if asked else self._t.sector_false)
+        return self._beside(predicate, subject, anchor, asked)
 
     def _near(self, one: Thing, other: Thing) -> Judgement:
         used, along_ground = _used(one, other), _along_ground(one, other)
@@ -135,7 +135,8 @@ class Judge:
         used, close = _used(one, other), self._t.far_false if asked else self._t.near_true
         return judged(used >= whole_mm(self._t.far_true), used <= whole_mm(close), distance=used)
 
-    def _beside(self, predicate: str, one: Thing, other: Thing, elsewhere: float) -> Judgement:
+    def _beside(self, predicate: str, one: Thing, other: Thing, asked: bool) -> Judgement:
+        elsewhere = self._t.sector_denied if asked else self._t.sector_false
         east, north = one.centre[0] - other.centre[0], other.centre[2] - one.centre[2]
         towards = DIRECTIONS[predicate]
         apart = math.hypot(east, north)
@@ -144,9 +145,11 @@ class Judge:
         off = _degrees_off((east, north), towards)
         from_edges = [_degrees_off(way, towards) for way in (_from_edge(one, other), _to_edge(one, other))]
         elevation = math.degrees(math.atan2(abs(one.centre[1] - other.centre[1]), apart))
-        clear = elevation < self._t.level and apart >= whole_mm(self._t.sector_horizontal_true)
+        close = apart <= whole_mm(self._t.sector_within)
+        clear = elevation < self._t.level and close and apart >= whole_mm(self._t.sector_horizontal_true)
         true = off <= self._t.sector_true and max(from_edges) <= self._t.sector_edge and clear
-        judgement = judged(true, min(off, *from_edges) > elsewhere, horizontal=apart)
+        false = min(off, *from_edges) > elsewhere and (close or not asked)
+        judgement = judged(true, false, horizontal=apart)
         angles = {"degrees_off": off, "degrees_off_edges": max(from_edges), "elevation": elevation}
         return judgement._replace(numbers={**judgement.numbers, **{name: round(x, 3) for name, x in angles.items()}})
 

@@ -104,7 +104,7 @@ class RelationStage(Stage):
         return StageOutput(tables={"relations": table})
 
 
-COUNTING: Final = 18
+COUNTING: Final = 19
 """Version of how statements are counted, in a scene and over all scenes."""
 
 

@@ -246,6 +246,10 @@ class SamplingConfig(Section):
     bearings: int = Field(2, ge=1, le=4)
     """maximum number of phrases with bearings (left, right, ahead, behind) in a program; all of them must hold at one
     start"""
+    compass_share: Share = 0.4
+    """share of the candidate programs that may use compass words"""
+    compass_phrases: int = Field(2, ge=1, le=8)
+    """maximum number of phrases with compass words in such a program"""
     attempts: int = Field(24, ge=1, le=10_000)
     """maximum number of draws of a condition before the candidate is given up"""
     draws_per_candidate: int = Field(20, ge=1, le=10_000)

@@ -116,6 +116,9 @@ class Thresholds(Section):
     text to use the word"""
     sector_horizontal_true: Metres = 0.5
     """minimum horizontal distance between two centres at which text may use a compass word"""
+    sector_within: Metres = 3.0
+    """maximum horizontal distance between two centres at which text may use a compass word, or deny it: farther apart,
+    people don't think of one thing as north of the other"""
     bearing_true: Degrees = Field(30.0, lt=45)
     """maximum angle off the direction at which text may say “left”, “right”, “ahead” and “behind”"""
     bearing_false: Degrees = Field(60.0, gt=45, le=90)

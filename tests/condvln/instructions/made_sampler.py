@@ -23,13 +23,13 @@ def made_sampler(
     sampling: SamplingConfig | None = None,
     **wanted: Any,
 ) -> ProgramSampler:
-    """`wanted` : keys of the instructions; `candidates` : candidates per episode."""
+    """Any program may use compass words. `wanted` : keys of the instructions; `candidates` : candidates per episode."""
     return ProgramSampler(
         scene,
         facts,
         bits,
         InstructionsConfig(**wanted),
-        sampling or SamplingConfig(candidates_per_episode=candidates),
+        sampling or SamplingConfig(candidates_per_episode=candidates, compass_share=1.0, compass_phrases=8),
         seed,
         stops=stops or apart_by_centres(scene, PlacesConfig()),
         preamble=preamble,

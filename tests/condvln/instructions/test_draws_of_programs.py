@@ -90,7 +90,7 @@ def test_targets_fit_if_some_choice_of_them_does(t: int, n: int, waypoints: int,
     apart = np.triu(rng.random((t, t)) < 0.6, 1)
     apart |= apart.T
     named = [LABELS[k] for k in rng.integers(0, 4, t)]
-    found = tuple(Target(str(k), k, "one", k, named[k], 1.0, True) for k in range(t))
+    found = tuple(Target(str(k), k, "one", k, named[k], 1.0, True, True) for k in range(t))
     targets = Targets(found, apart, np.zeros_like(apart))
     sampler = StopSampler(targets, {"one": "kitchen"}, ["one"], ["one"], lambda _room, _stop: True)
     allowed, free = rng.random(t) < 0.8, rng.random(t) < 0.8
@@ -114,7 +114,9 @@ def test_targets_fit_if_some_choice_of_them_does(t: int, n: int, waypoints: int,
 def test_goals_are_drawn_by_the_weights_of_their_labels() -> None:
     """The first goal by the weight of its label, then evenly among the targets of the label."""
     weights, count = {"a": 1.0, "b": 0.25, "c": 2.0}, {"a": 2, "b": 1, "c": 3}
-    found = [Target(f"{x}{k}", 0, "one", 0, x, weight, True) for x, weight in weights.items() for k in range(count[x])]
+    found = [
+        Target(f"{x}{k}", 0, "one", 0, x, weight, True, True) for x, weight in weights.items() for k in range(count[x])
+    ]
     apart = ~np.eye(len(found), dtype=bool)
     sampler = StopSampler(
         Targets(tuple(found), apart, np.zeros_like(apart)), {"one": "kitchen"}, ["one"], ["one"], lambda *_: True
@@ -162,7 +164,9 @@ def test_conditions_are_drawn_as_if_by_tries(make_scene, facts_maker) -> None:
         for _ in range(4000):
             excluded = sampler.excluded_by((), rooms)
             excluded.by_rule["one_label"] |= gone
-            found = sampler.draw((True,), rooms, excluded, draws, luck=draws.uniform(), start_room=None, bearings=0)
+            found = sampler.draw(
+                (True,), rooms, excluded, draws, luck=draws.uniform(), start_room=None, bearings=0, compass=8
+            )
             drawn[None if found is None else found[0].number] += 1
             expected[one_by_one(sampler, rooms, gone, other)] += 1
         often = [key for key in expected if expected[key] >= 20]

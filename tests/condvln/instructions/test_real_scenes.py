@@ -25,8 +25,8 @@ from condvln.sources.registry import open_source
 from condvln.verify.referents import Answer, SceneReferents
 from condvln.verify.surfaces import Shapes
 from condvln.verify.text_reader import read as read_by_listener
-from schemas.config import Thresholds
 from schemas.program import CATEGORIES, SHAPES, Category, Program
+from tests.condvln.instructions.conftest import T
 from tests.condvln.instructions.made_sampler import made_sampler
 
 FAMILIES = ("replicacad", "procthor", "ithor", "gibson")
@@ -44,7 +44,7 @@ def read(real_data: Path, family: str, count: int | None) -> list[Scene]:
 def test_programs_of_real_scenes_are_proven(real_data: Path, facts_maker, prove, family: str) -> None:
     # Most small buildings of Gibson have few things that surely are in one room only.
     scenes = read(real_data, family, 12 if family == "gibson" else 4)
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene, Thresholds(), 0.3) for scene in scenes)
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
     wanted = dict.fromkeys(CATEGORIES, 1)
     drawn = 0
     for scene in scenes:
@@ -67,7 +67,7 @@ def test_automated_graphs_are_asked_about_what_is_there(real_data: Path, facts_m
     if not (real_data / "gibson").is_dir():
         pytest.skip(f"no gibson in {real_data}")
     scene = open_source("gibson", real_data / "gibson", absence="never").read("automated/Oyens")
-    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, T, 0.3).bits(scene, 0.05)
     samplers = [made_sampler(scene, facts, bits, per_category={"simple": 12}, seed=seed) for seed in range(24)]
     programs = [program for sampler in samplers for program in sampler.candidates("simple")]
     # A room with few statements is asked another one less often where a stop is what was to be asked about: with one
@@ -88,7 +88,7 @@ def test_the_church_scan_is_asked_about_its_nave(real_data: Path, facts_maker) -
         pytest.skip(f"no mp3d in {real_data}")
     scene = open_source("mp3d", real_data / "mp3d").read("YmJkqBEsHnH")
     assert [room.label for room in scene.rooms] == ["nave", "chancel", "porch", "staircase"]
-    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+    facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, T, 0.3).bits(scene, 0.05)
     sampler = made_sampler(scene, facts, bits, per_category={"simple": 20})
     drawn = list(sampler.candidates("simple"))
     assert len(drawn) >= 20
@@ -97,7 +97,7 @@ def test_the_church_scan_is_asked_about_its_nave(real_data: Path, facts_maker) -
         ("nave", "table"),
         ("nave", "pedestal"),
     }
-    views = SceneReferents(scene, Thresholds(), 0.3, Shapes(scene.root))
+    views = SceneReferents(scene, T, 0.3, Shapes(scene.root))
     for program in [*drawn, *(program for group in sampler.groups() for program in group)]:
         text = render(program, 0, "church")
         assert "the sculpture" not in re.sub(r"the sculpture (south|east)", "", text)
@@ -136,7 +136,7 @@ def guessed(drawn: Sequence[tuple[str, Program]]) -> float:
 def test_words_alone_do_not_tell_the_gold_leaf(real_data: Path, facts_maker, family: str) -> None:
     scenes = read(real_data, family, None)
     known = [facts_maker(scene) for scene in scenes]
-    priors = LabelPriors.merged(LabelPriors.of_scene(scene, Thresholds(), 0.3) for scene in scenes)
+    priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
 
     def drawn(category: Category, informed: bool) -> list[tuple[str, Program]]:
         found = []

@@ -19,7 +19,7 @@ from condvln.instructions.cell_drawing import Seen
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool, RelationPool
 from condvln.instructions.degeneracy import REASONS
-from condvln.instructions.predicates import GROUP_OF, PREDICATE_GROUPS, PREDICATES
+from condvln.instructions.predicates import COMPASS, GROUP_OF, PREDICATE_GROUPS, PREDICATES
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
 from condvln.instructions.stops import Stops, preferences
@@ -572,3 +572,18 @@ def test_cells_of_a_category_that_draw_in_turns_share_no_program(sampled) -> Non
     found += sampler.programs(cell, second, 4)
     found += sampler.programs(cell, first, 4)
     assert len(found) == len(set(found)) == 12
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.0, 0), (0.4, 1), (1.0, 2)])
+def test_compass_words_are_in_few_phrases_of_some_programs(make_scene, facts_maker, share: float, most: int) -> None:
+    phrases = set()
+    for seed in range(2):
+        scene = make_scene(seed)
+        facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
+        sampling = SamplingConfig(compass_share=share, compass_phrases=max(most, 1))
+        sampler = made_sampler(scene, facts, bits, sampling=sampling, per_category=dict.fromkeys(CATEGORIES, 8))
+        for program in (program for category in CATEGORIES for program in sampler.candidates(category)):
+            things = {move.object_id: move.qualifier for leaf in program.leaves for move in leaf.moves}
+            used = [*things.values(), *(condition.qualifier for condition in program.conditions)]
+            phrases.add(sum(one is not None and one.predicate in COMPASS for one in used))
+    assert phrases == set(range(most + 1))

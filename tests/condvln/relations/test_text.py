@@ -24,7 +24,8 @@ from condvln.scene.meshes import WorldMesh
 from schemas.config import Thresholds
 from schemas.program import BEARINGS, Predicate
 
-T = Thresholds()
+T = Thresholds(sector_within=21.0)
+"""Directions are judged at any distance here; `test_a_direction_is_for_what_is_close` bounds it."""
 
 Maker = Callable[..., SceneObject]
 RoomOf = Callable[[Sequence[SceneObject]], RoomArrays]
@@ -320,6 +321,17 @@ def test_a_superlative_needs_another_thing_of_its_label(make: Maker, room_of: Ro
     for label, expected in (("cup", 0), ("mug", 1)):
         room = room_of([two[0], replace(two[1], label=label), sink])
         assert text_facts(relate_room(room, T), T).closest(rival)[0][0, 2] == expected
+
+
+@pytest.mark.parametrize(
+    ("x", "true", "false"), [(3.0, 1, True), (3.001, 0, False), (-3.0, -1, True), (-3.001, -1, False)]
+)
+def test_a_direction_is_for_what_is_close(make: Maker, room_of: RoomOf, x: float, true: int, false: bool) -> None:
+    """Farther apart, no condition states or denies a direction; rivals are told apart by it at any distance."""
+    objects, t = [make("a", (x, 0, 0), BALL), make("b", (0, 0, 0), BALL)], Thresholds()
+    facts = text_facts(relate_room(replace(room_of(objects), floor_y=-2.0), t), t)
+    assert facts.status["east of"][0, 1] == true
+    assert facts.denied["north of"][0, 1] == false
 
 
 @pytest.mark.parametrize(("z", "denied"), [(10.001, False), (17.320, False), (17.321, True), (-17.321, True)])

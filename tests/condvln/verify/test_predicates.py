@@ -173,12 +173,15 @@ def test_higher_at_its_margins(up: int, expected: int) -> None:
 def test_north_at_its_margins(degrees: float, expected: int) -> None:
     """North is −z: a thing with the smaller z lies north of the other."""
     angle = np.radians(degrees)
-    one = made("a", [4 * np.sin(angle), 0, -4 * np.cos(angle)])
+    one = made("a", [3 * np.sin(angle), 0, -3 * np.cos(angle)])
     assert verdict("north of", one, made("b", [0, 0, 0])) == expected
 
 
 def test_a_direction_needs_distance_and_level() -> None:
     anchor = made("b", [0, 0, 0])
+    assert verdict("east of", made("a", [3, 0, 0]), anchor) == TRUE
+    assert verdict("east of", made("a", [3.001, 0, 0]), anchor) == UNDECIDED
+    assert verdict("west of", made("a", [3.001, 0, 0]), anchor) == FALSE
     assert verdict("east of", made("a", [0.5, 0, 0]), anchor) == TRUE
     assert verdict("east of", made("a", [0.499, 0, 0]), anchor) == UNDECIDED
     assert verdict("east of", made("a", [1, 0.42, 0]), anchor) == UNDECIDED
