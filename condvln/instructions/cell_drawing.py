@@ -225,7 +225,6 @@ class CellDrawing:
             start_room=start_room,
             bearings=bearings,
             compass=compass,
-            goals=[targets[k].label for k in goals],
         )
         if statements is None:
             rejected.update(rule for rule, statements in excluded.by_rule.items() if statements)

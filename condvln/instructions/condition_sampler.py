@@ -17,7 +17,6 @@ from condvln.instructions.expected_draws import FULL_MASS
 from condvln.instructions.predicates import COMPASS, PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
 from condvln.labels import Vocabulary
-from condvln.labels.lists import goes_with
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
 from schemas.config.constants import PLAIN_ROOM_WEIGHT
@@ -150,7 +149,6 @@ class ConditionSampler:
         self.rooms = tuple(self._rooms)
         self._made: dict[AskedStatement, Condition] = {}
         self._by_stop: dict[tuple[str, str], int] = {}
-        self._by_goals: dict[frozenset[str], int] = {}
         self._known: dict[tuple[tuple[str, ...], str | None, int], _Left] = {}
         claims: list[Claim] = []
         self._origin: list[tuple[Statements, bool, int]] = []
@@ -245,7 +243,6 @@ class ConditionSampler:
         start_room: str | None,
         bearings: int,
         compass: int,
-        goals: Iterable[str] = (),
     ) -> list[AskedStatement] | None:
         """Return one statement for each of `truths`, such that one of the other truth could be in its place; None if
         none is found for some truth.
@@ -262,35 +259,22 @@ class ConditionSampler:
         luck : a uniform that decides whether the first statement is found; see `fails`
         bearings : most egocentric statements; they are about `start_room`
         compass : most statements with compass words
-        goals : labels of the goals; what goes with one of them is asked about more often
         """
         asked = {room.room_id: room for room in rooms}
         found: list[AskedStatement] = []
-        fitting = self._fitting(frozenset(goals))
         for truth in truths:
             gone = excluded.union | (0 if compass > 0 else self.compass)
             left = self._left(asked, start_room if bearings > 0 else None, gone)
             if (draws.uniform() if found else luck) < left.failing:
                 return None
             form = draws.weighted(left.forms, left.chances)
-            numbers, weights = form.among(truth, gone)
-            more = self._sampling.affinity
-            weights = [w * more if fitting >> k & 1 else w for k, w in zip(numbers, weights, strict=True)]
-            number = draws.weighted(numbers, weights)
+            number = draws.weighted(*form.among(truth, gone))
             claim = self.conflicts.statements[number]
             excluded.add(claim)
             found.append(AskedStatement(number, asked[claim.room_id]))
             bearings -= form.egocentric
             compass -= self.compass >> number & 1
         return found
-
-    def _fitting(self, goals: frozenset[str]) -> int:
-        """Return the statements about things that go with one of the goals."""
-        if goals not in self._by_goals:
-            labels = frozenset().union(*(goes_with().get(goal, frozenset()) for goal in goals))
-            statements = enumerate(self.conflicts.statements)
-            self._by_goals[goals] = sum(1 << k for k, claim in statements if claim.label in labels)
-        return self._by_goals[goals]
 
     def fails(self, luck: float, room_ids: Sequence[str], stops: Iterable[tuple[str, str]]) -> bool:
         """Return True if no first statement will be found, however the rooms and stops of a text are named: their names

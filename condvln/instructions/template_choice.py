@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 from condvln.instructions.language import LONGEST_SENTENCE, Language, Template
 from condvln.seeding import Draws
@@ -81,22 +82,21 @@ class TemplateChoice:
         self._program, self._naming, self._words, self._scoped = program, naming, words, scoped
 
     def draw(self, templates: Sequence[Template], draws: Draws) -> Template:
-        """Return a template, drawn at random from those that read well; from the others if none does."""
-        left = list(templates)
-        kept: list[Template] = []
-        sizes: tuple[list[int], list[int]] | None = None
+        """Return a template, drawn at random from those that read well; if none does, from those with the least
+        fault.
+        """
+        left, kept = list(templates), list[tuple[int, Template]]()
+        sizes = self._sizes()
         while left:
             template = left.pop(draws.index(len(left)) if len(left) > 1 else 0)
             if template.is_choosy and not self._is_sayable(template):
                 continue
-            if self._is_wearying(template) or self._asks_apart(template):
-                kept.append(template)
-            else:
-                sizes = sizes or self._sizes()
-                if not _is_long(template, *sizes):
-                    return template
-                kept.insert(0, template)
-        return kept[0]
+            fault = 4 * (self._is_wearying(template) or self._asks_apart(template))
+            fault += 2 * self._looks_afar(template) + _is_long(template, *sizes)
+            if not fault:
+                return template
+            kept.append((fault, template))
+        return min(kept, key=itemgetter(0))[1]
 
     def _is_sayable(self, template: Template) -> bool:
         """Return whether the leaf before the first condition has one stop, which is in another room, and the nouns of
@@ -123,6 +123,13 @@ class TemplateChoice:
             return bool(template.questions)
         asked = [self._program.conditions[k] for k in template.questions]
         return any(condition.definite and condition.room.anchor_label is not None for condition in asked)
+
+    def _looks_afar(self, template: Template) -> bool:
+        """Return whether a template says "look at the lamp in the kitchen" to somebody whom nothing has sent there."""
+        if len(self._naming.rooms) < 2:
+            return False
+        led = self._program.last_leads
+        return any(form == "see" and led[k] is None for k, form in template.stated.items())
 
     def _sizes(self) -> tuple[list[int], list[int]]:
         """Return the approximate numbers of words of the conditions and of the leaves."""

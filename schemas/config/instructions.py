@@ -246,8 +246,6 @@ class SamplingConfig(Section):
     bearings: int = Field(2, ge=1, le=4)
     """maximum number of phrases with bearings (left, right, ahead, behind) in a program; all of them must hold at one
     start"""
-    affinity: float = Field(4.0, ge=1)
-    """how much more often a program asks about a thing that goes with one of its goals, whichever leaf it is of"""
     compass_share: Share = 0.4
     """share of the candidate programs that may use compass words"""
     compass_phrases: int = Field(2, ge=1, le=8)

@@ -13,7 +13,7 @@ from condvln.bias.report import ALL
 from condvln.instructions import LabelPriors
 from condvln.relations import TextFacts, relate_scene, text_facts
 from condvln.scene import Scene
-from schemas.config import SamplingConfig, Thresholds
+from schemas.config import Thresholds
 from schemas.program import Category
 from tests.condvln.bias.made_apartment import made_apartment
 from tests.condvln.instructions.made_sampler import made_sampler
@@ -61,12 +61,10 @@ def over_all(priors: LabelPriors) -> LabelPriors:
 
 def sampled(scenes, priors: LabelPriors, rows_of) -> list[dict[str, Any]]:
     wanted = dict.fromkeys(CATEGORIES, 20)
-    # All statements as often as the priors say: then they foretell most.
-    sampling = SamplingConfig(candidates_per_episode=1, compass_share=1.0, compass_phrases=8, affinity=1.0)
     return [
         row
         for scene, facts in scenes
-        for row in rows_of(made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, sampling=sampling))
+        for row in rows_of(made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, candidates=1))
     ]
 
 
