@@ -7,7 +7,6 @@ for the command lines of the Makefile. Neither list is made from the other.
 from __future__ import annotations
 
 import ast
-import os
 import shlex
 import shutil
 import subprocess
@@ -120,70 +119,3 @@ def test_ci_runs_the_targets(repository: Path) -> None:
     (line,) = (row for row in output(["make", "--dry-run", "agents"], repository).splitlines() if "-m pytest" in row)
     (file,) = (word for word in shlex.split(line) if word.endswith(".py"))
     assert "importorskip" in (repository / file).read_text()
-
-
-MAKEFILE = """test:
-\tpython -m pytest -n 2 -m "not soak"
-soak:
-\tpython -m pytest -m "soak and not later"
-"""
-
-
-@pytest.fixture
-def project(tmp_path: Path) -> Path:
-    """A project in which every test is run."""
-    (tmp_path / "Makefile").write_text(MAKEFILE)
-    (tmp_path / "tests").mkdir()
-    (tmp_path / "pyproject.toml").write_text(
-        '[tool.pytest.ini_options]\ntestpaths = ["tests"]\naddopts = "-q --import-mode=importlib"\n'
-        'markers = ["soak", "later"]\n'
-    )
-    (tmp_path / "tests" / "test_sound.py").write_text(
-        "import pytest\ndef test_a(): pass\n@pytest.mark.soak\ndef test_b(): pass\n"
-        "@pytest.mark.parametrize('x', 'pq')\ndef test_c(x): pass\n"
-    )
-    return tmp_path
-
-
-def test_a_sound_project_gives_no_complaint(project: Path) -> None:
-    assert complaints(project) == []
-
-
-LOST = {
-    "tests/build/test_one.py": ("def test_1(): pass", "test_1 is not run"),
-    "package/test_two.py": ("def test_2(): pass", "test_2 is not run"),
-    "tests/three.py": ("def test_3(): pass", "test_3 is not run"),
-    "tests/test_four.py": ("class Cases:\n    def test_4(self): pass", "Cases::test_4 is not run"),
-    "tests/test_five.py": ("def test_5(): pass\ndef test_5(): assert True", "test_5 is defined 2 times"),
-    "tests/test_six.py": ("def check_6(): pass", "test_six.py holds no test"),
-    "tests/test_seven.py": (
-        "import pytest\npytest.skip('x', allow_module_level=True)\ndef test_7(): pass",
-        "test_7 is not run",
-    ),
-    "tests/test_eight.py": (
-        "import pytest\n@pytest.mark.soak\n@pytest.mark.later\ndef test_8(): pass",
-        "test_8 is not run",
-    ),
-}
-
-
-def test_each_way_of_losing_a_test_is_found(project: Path) -> None:
-    for file, (text, _) in LOST.items():
-        (project / file).parent.mkdir(exist_ok=True)
-        (project / file).write_text(text + "\n")
-    found = complaints(project)
-    for file, (_, complaint) in LOST.items():
-        assert any(line.startswith(file) and complaint in line for line in found), (file, found)
-    assert not any("test_sound" in line for line in found)
-
-
-@pytest.mark.parametrize(("reason", "code"), [("no real datasets here: x", 0), ("not today", 1)])
-def test_a_skip_needs_a_listed_reason(project: Path, repository: Path, reason: str, code: int) -> None:
-    (project / "conftest.py").write_text('pytest_plugins = ["tests.skips"]\n')
-    (project / "test_skipped.py").write_text(f"import pytest\ndef test_x(): pytest.skip({reason!r})\n")
-    variables = os.environ | {"PYTHONPATH": str(repository)}
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", f"--rootdir={project}", "test_skipped.py"]
-    done = subprocess.run(command, cwd=project, env=variables, capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stdout
-    assert ("tests/skips.py" in done.stdout) == bool(code)
-    assert (f"1 skipped: {reason}" in done.stdout) == (not code)

@@ -15,8 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import condvln
-import condvln.navigation
 from condvln.compiled import KERNEL_SOURCES
 
 ASK = """
@@ -122,14 +120,3 @@ def test_kernels_use_values_and_functions_of_files_in_the_digest_only(repository
                 for one in node.names:
                     value = getattr(importlib.import_module(name), one.name)
                     assert not isinstance(value, bool | int | float | tuple | np.generic | np.ndarray), (file, one.name)
-
-
-def test_public_names_load_on_first_use() -> None:
-    assert set(condvln.navigation.__all__) == set(condvln.navigation._MODULE_OF)
-    for name in condvln.navigation.__all__:
-        assert getattr(condvln.navigation, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        condvln.navigation.nothing  # noqa: B018
-    code = "import sys, condvln.navigation.settings; print('numba' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"

@@ -99,16 +99,3 @@ def test_shortest_way_round_a_table_is_the_closed_form() -> None:
     floor = shapely.box(0, 0, 4, 2).difference(shapely.box(1, 0.5, 3, 2))
     path = _pathfinder(floor).find_path((0.5, 0, 1.5), (3.5, 0, 1.5))
     assert path.geodesic_distance == pytest.approx(2 * np.hypot(0.5, 1.0) + 2.0, rel=1e-6)
-
-
-def test_a_square_is_one_polygon_and_two_squares_are_two_islands() -> None:
-    vertices, polygons = convex_polygons(shapely.box(0, 0, 2, 2))
-    assert (len(vertices), len(polygons)) == (4, 1)
-    assert _pathfinder(shapely.union_all([shapely.box(0, 0, 2, 2), shapely.box(3, 0, 5, 2)])).num_islands == 2
-
-
-def test_meshing_depends_on_the_floor_and_not_on_how_it_is_written() -> None:
-    ring = [(0, 0), (4, 0), (4, 3), (2, 3), (2, 5), (0, 5)]
-    turned = shapely.Polygon(ring[3:] + ring[:3]).reverse()
-    for one, other in zip(convex_polygons(shapely.Polygon(ring)), convex_polygons(turned), strict=True):
-        np.testing.assert_array_equal(np.array(one, dtype=object), np.array(other, dtype=object))
