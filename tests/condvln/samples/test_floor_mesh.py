@@ -16,7 +16,8 @@ from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import make_layout
 from condvln.samples.floor_mesh import MAX_CORNERS, NAVMESH_HEIGHT, convex_polygons, free_floor, navmesh_of
-from condvln.samples.solid import layout_triangles, piece_corners
+from condvln.samples.solid import piece_corners
+from tests.condvln.voxelised import layout_triangles, voxelised
 
 
 def _area(vertices: np.ndarray, polygon: list[int]) -> float:
@@ -71,7 +72,7 @@ def test_voxelising_the_layout_finds_the_same_floor(seed: int) -> None:
     """Recast, over the triangles of slabs, walls and furniture, knows nothing of how the free floor was computed."""
     layout = make_layout(seed)
     exact = Pathfinder(navmesh_of(layout, NavMeshSettings()))
-    voxels = Pathfinder(navmesh_of(layout, NavMeshSettings(), engine="recast"))
+    voxels = Pathfinder(voxelised(layout, NavMeshSettings()))
     points = exact.get_random_navigable_points(200, np.random.default_rng(0))
     assert points[:, 1] == pytest.approx(NAVMESH_HEIGHT)
     assert voxels.are_navigable(points).mean() > 0.93

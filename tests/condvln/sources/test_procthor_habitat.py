@@ -12,7 +12,7 @@ import pytest
 
 from condvln.labels import vocabulary
 from condvln.relations import CANONICAL, relate_room
-from condvln.samples import make_layouts, make_samples, write_ai2thor_hab
+from condvln.samples import make_samples
 from condvln.scene import RoomArrays, Scene
 from condvln.sources.family import look_for
 from condvln.sources.registry import open_source
@@ -26,7 +26,7 @@ HOUSES = "houses/train.jsonl.gz"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    write_ai2thor_hab(tmp_path, make_layouts(SCENES, SEED))
+    make_samples(tmp_path, "ai2thor-hab", SCENES, SEED)
     return tmp_path
 
 
