@@ -97,16 +97,6 @@ def test_reference_is_up_to_date() -> None:
     assert PAGE.FILE.read_text(encoding="utf-8") == PAGE.reference(), "run: python docs/site/command.py"
 
 
-def test_readme_names_only_commands_that_exist(repository: Path) -> None:
-    words = (repository / "README.md").read_text(encoding="utf-8").split("condvln ")
-    known = {path[0] for path in PAGE.command_paths() if path}
-    named = {rest.split()[0].strip("`") for rest in words[1:] if rest.split()}
-    assert {word for word in named if word.islower() and word.isalpha()} & known
-    block = [line for line in (repository / "README.md").read_text().splitlines() if "bin/condvln" in line]
-    assert block
-    assert all(line.split("bin/condvln")[1].split()[0] in known for line in block)
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
