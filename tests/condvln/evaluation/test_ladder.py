@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from condvln.evaluation.agents import AGENTS, predict_all
-from condvln.evaluation.evaluate import Evaluation, evaluate
+from condvln.evaluation.evaluate import evaluate
 from condvln.evaluation.split import split_tasks
 from condvln.evaluation.task import Task
 from condvln.export.splits import SPLITS
@@ -76,16 +76,6 @@ def check_ladder(tasks: list[Task], navmeshes: NavmeshFolder) -> None:
     spread = math.sqrt(float((chance * (1 - chance)).sum())) / len(tasks)
     assert abs(mean("random-leaf", "success") - chance.mean()) < 3.5 * spread
     assert mean("stop-at-start", "success") == 0
-    check_laws(found)
-
-
-def check_laws(found: dict[str, Evaluation]) -> None:
-    for evaluation in found.values():
-        scores = evaluation.scores
-        assert (scores["csr_all"] <= scores["success"]).all()
-        assert (scores["spl"] <= scores["success"]).all()
-        assert (scores["oracle_success"] >= scores["success"]).all()
-        assert (scores["bsa_all"] >= scores["csr_all"]).all()
 
 
 def test_ladder(tmp_path: Path) -> None:

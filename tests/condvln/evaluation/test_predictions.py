@@ -328,15 +328,6 @@ def test_the_last_of_duplicates_is_kept_where_that_is_asked(tmp_path: Path, name
     assert notes == ["1 predictions of episodes that the file has again later were left out"]
 
 
-def test_the_last_of_duplicate_instructions_is_kept_where_that_is_asked(tmp_path: Path) -> None:
-    path = write(tmp_path / "p.json", [{"instr_id": "1_0", "trajectory": [[v]]} for v in "ab"])
-    notes: list[str] = []
-    assert list(read_graph_predictions(path, ReadRules(duplicates="keep-last"), notes)) == [
-        GraphPrediction("1_0", ("b",))
-    ]
-    assert len(notes) == 1
-
-
 CUT = {
     "object.json": '{"1": [{"position": [0, 0, 0], "stop": 0}], "2": [{"position": [0, 0',
     "lines.jsonl": '{"instruction_id": 1, "path": [[0, 0, 0]]}\n{"instruction_id": 2, "path": [[0, ',
