@@ -184,9 +184,7 @@ SPECIAL = [fifo, unix_socket, endless, own_target]
         ("export.json", fifo),
         ("origin.json", unix_socket),
         ("manifest/{}.jsonl", endless),
-        ("manifest/{}.jsonl", fifo),
         ("vlnce/{0}/{0}.json.gz", own_target),
-        ("vlnce/{0}/{0}.json.gz", endless),
         ("ansr/{0}/{0}.json.gz", fifo),
     ],
 )
