@@ -42,6 +42,12 @@ def test_a_unit_beyond_the_ceiling_costs_its_own_result_only(store: LocalStore, 
     assert state() == before
 
 
+def test_what_the_unit_held_is_given_back(store: LocalStore) -> None:
+    held = machine.rss()
+    run(toys.pipeline(), [toys.unit("a/bad", 4, trouble="hog")], store, memory=held + 300 * MIB)
+    assert machine.rss() < held + 150 * MIB
+
+
 def test_a_higher_ceiling_and_a_retry_let_it_through(store: LocalStore, tmp_path: Path) -> None:
     units = [toys.unit("a/greedy", 4, trouble=f"memory-once:{tmp_path / 'once'}"), *toys.units(2)]
     assert run(toys.pipeline(), units, store).counts["quarantined"] == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ import toys
 
 from factory.commits import Commits
 from factory.dispatch import check_folders, seen_folders
-from factory.ray_address import check_address, join
+from factory.ray_address import check_address, import_ray, join
 from factory.ray_executor import RayExecutor
 from factory.run import run
 from factory.store import LocalStore
@@ -78,6 +79,20 @@ def test_auto_without_a_ray_is_one_line(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(ClusterError, match="no Ray runs on this machine") as error:
         check_address("auto")
     assert "ray start --head" in error.value.remedy
+
+
+def test_a_token_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = "RPC error: InvalidAuthToken: Authentication token is missing or incorrect"
+    answer = subprocess.CompletedProcess([], 1, "", f"ray.exceptions.RpcError: {said}")
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: answer)
+    with pytest.raises(ClusterError, match=r"token is missing or incorrect.*Set RAY_AUTH_TOKEN"):
+        check_address("auto")
+
+
+def test_a_python_without_ray_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match="Ray can't be imported by this Python"):
+        import_ray()
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from jobs.command import app
 from jobs.oracle import oracle_split
 from jobs.validate import validate_files
 from schemas.config import SplitsConfig
+from schemas.errors import UsageError
 from tests.made_snapshot import made_snapshot
 
 runner = CliRunner()
@@ -129,6 +130,11 @@ def test_a_strangers_file_keeps_its_own_vocabulary(export: Path, split: str, tmp
     assert all("instruction_tokens" not in e["instruction"] for e in twin["episodes"][1:])
     assert report.document["unknown_words"] > 0
     assert "read as UNK" in report.lines[-1]
+
+
+def test_an_original_is_never_replaced(export: Path, split: str) -> None:
+    with pytest.raises(UsageError, match="would replace its original"):
+        oracle_split(export, split, out=export / "vlnce" / split / f"{split}.json.gz")
 
 
 def test_a_pick_is_said_in_place_of_the_gold_branch(export: Path, split: str, tmp_path: Path) -> None:

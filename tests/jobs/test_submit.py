@@ -135,6 +135,32 @@ def test_a_head_that_is_away_for_a_moment_is_waited_for(server: JobServer, path:
         run_submit(path, "status", address="http://127.0.0.1:1", pause=0.001)
 
 
+def test_only_a_head_whose_agent_still_starts_is_asked_again_to_start_a_job(server: JobServer, path: Path) -> None:
+    """Any other request that may have been obeyed is not repeated."""
+    server.instead = "true"
+    server.refusing = 3
+    with pytest.raises(TransientIOError, match="503"):
+        submit(server, path, "status")
+    assert server.refusing == 2
+    server.fault = (500, "No available agent to submit job, please try again later.")
+    assert submit(server, path, "status", job="two")[0].document["job"] == "two"
+
+
+def test_a_head_that_never_answers_is_given_up(server: JobServer, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    server.instead, server.silent = "true", "/logs"
+    monkeypatch.setattr("factory.job_server.ANSWER_SECONDS", 0.2)
+    with pytest.raises(TransientIOError, match=r"does not answer: nothing within 0\.2 s"):
+        submit(server, path, "status")
+
+
+def test_without_rays_job_client_the_extra_is_named(
+    server: JobServer, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray.job_submission", None)
+    with pytest.raises(UsageError, match=r"condvln\[submit\]"):
+        submit(server, path, "status")
+
+
 def test_interrupted_the_job_goes_on(server: JobServer, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(seconds: float) -> None:
         raise KeyboardInterrupt

@@ -150,6 +150,11 @@ def test_no_such_split_names_those_there_are(export: Path) -> None:
         split_tasks(export, "all")
 
 
+def test_two_agents_of_one_name_are_refused(export: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="have the same name"):
+        evaluate_split(export, "train", [tmp_path / "near.json"] * 2)
+
+
 @pytest.fixture
 def navmesh(tmp_path: Path, l_shape: Pathfinder) -> tuple[Path, str]:
     path = tmp_path / "data" / "meshes" / "a.navmesh"

@@ -292,6 +292,11 @@ def test_a_missing_database_is_named(root: Path) -> None:
     assert len(source.read("train-0").objects) == 3
 
 
+def test_a_folder_without_houses_is_one_clear_error(root: Path) -> None:
+    with pytest.raises(ConfigError, match="no houses"):
+        open_source("procthor", root)
+
+
 TOKENS = [b"-1", b"1e999", b"null", b"true", b"{}", b"[]", b'""', b"NaN", b"0", b"9" * 30, b'"\\ud800"', b"\\u0000"]
 
 
