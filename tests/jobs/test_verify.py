@@ -5,16 +5,20 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import re
 import shutil
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import jobs.verify
 from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY
 from condvln.formats.regular_file import open_regular
+from condvln.verify import Certificate
 from jobs.export import export_snapshot_of
 from jobs.report import Report
 from jobs.verify import verify_export
@@ -59,6 +63,24 @@ def test_an_empty_export_is_no_success(made: Config, folder: Path) -> None:
     found = faults(made, folder)
     assert found[-1] == "manifest: the export holds no episodes, so nothing is proven"
     assert any(f"manifest/{largest(folder)}.jsonl: has 0 bytes" in fault for fault in found)
+
+
+def test_a_scene_that_nobody_proves_is_no_success(made: Config, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fault of ours, not of the export: whatever is proven then, it is not all."""
+    whole = verify_export(made, folder).document
+    real = jobs.verify.prove_export
+
+    def lossy(*arguments: Any) -> Iterator[Certificate]:
+        found = list(real(*arguments))
+        return (one for one in found if one.scene_id != found[0].scene_id)
+
+    monkeypatch.setattr("jobs.verify.prove_export", lossy)
+    report = verify_export(made, folder)
+    assert report.exit_code == 3
+    assert 0 < report.document["episodes"] < whole["episodes"]
+    missing = whole["episodes"] - report.document["episodes"]
+    told = [re.search(r"(\d+) got no certificate", fault["what"]) for fault in report.document["faults"]]
+    assert sum(int(one[1]) for one in told if one) == missing
 
 
 def test_nothing_of_nothing_is_no_success(made: Config, folder: Path) -> None:

@@ -243,3 +243,11 @@ def test_an_image_that_claims_a_large_size_is_a_fault(edge: int, tmp_path: Path)
     header = b"IHDR" + struct.pack(">II", edge, edge) + small[24:29]
     fault = fault_of(tmp_path, small[:12] + header + struct.pack(">I", zlib.crc32(header)) + small[33:])
     assert fault.startswith("the image ")
+
+
+def test_a_number_of_frames_is_compared_before_a_list_is_built() -> None:
+    walk = {"n_frames": 2**31 - 1}
+    world: Any = None
+    frames = _Frames(None, walk, [], {"rgb": CAMERA}, {}, world, VLN_CE)
+    proof: Any = SimpleNamespace(frames=0)
+    assert [*frames.faults(proof)] == ["a frame has no pose, or more than one"]
