@@ -13,7 +13,7 @@ from condvln.export.tables import NavmeshBytes, Row
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
 from condvln.sources.scene_source import Source
-from condvln.sources.source import HashFile, SceneHandle, hash_file
+from condvln.sources.source import HashFile, hash_file
 from factory.pipeline import Pipeline, TableSpec
 from factory.snapshot import Snapshot
 from factory.stage import InputFile, Unit
@@ -158,19 +158,16 @@ def _each_unit(config: Config, hash_file: HashFile) -> Iterator[Unit]:
     asked = sum(cell.count for cell in wanted.wanted) + GROUP_SIZE * wanted.counterfactual_groups
     for source in config.sources:
         for handle in open_configured(config, source, hash_file).each_handle():
+            files = (InputFile(file.path, file.size, file.sha256) for file in handle.inputs)
             yield Unit(
                 unit_id=f"{handle.family}/{handle.scene_id}",
                 partition=handle.family,
-                inputs=tuple(known.setdefault(file, file) for file in _files(handle)),
+                inputs=tuple(known.setdefault(file, file) for file in files),
                 payload=scene_payload(source, handle.scene_id),
                 costs={} if handle.fault else stage_costs(handle.family, handle.counts, asked),
                 memory=BYTES_BASE + 4 * sum(i.size for i in handle.inputs),
                 fault=handle.fault,
             )
-
-
-def _files(handle: SceneHandle) -> Iterator[InputFile]:
-    return (InputFile(file.path, file.size, file.sha256) for file in handle.inputs)
 
 
 def built_navmeshes(config: Config, snapshot: Snapshot) -> NavmeshBytes:

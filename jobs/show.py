@@ -7,7 +7,7 @@ export holds no furniture: its pictures have the floor, the start, and the way t
 from __future__ import annotations
 
 from bisect import insort
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -123,17 +123,15 @@ def named_rows(snapshot: Snapshot, name: str) -> list[dict[str, Any]]:
                 return rows
     rows = []
     for source in sorted(snapshot.manifest.tables["instructions"].partitions):
-        for instruction in _unplaced(_instructions(snapshot, source, partial(_beginning, name=name))):
+        for instruction in _unplaced(
+            snapshot.table("instructions", [*_INSTRUCTION_COLUMNS], source, partial(_beginning, name=name))
+        ):
             placed = []
             if episodes.num_rows:
                 same = pc.equal(episodes["instruction_id"], instruction["instruction_id"])
                 placed = episodes.filter(pc.and_(same, pc.equal(episodes["source"], source))).to_pylist()
             rows += placed or [instruction]
     return rows
-
-
-def _instructions(snapshot: Snapshot, source: str, narrowed: Callable[[pa.Table], pa.Table]) -> pa.Table:
-    return snapshot.table("instructions", list(_INSTRUCTION_COLUMNS), source, narrowed)
 
 
 def _unplaced(instructions: pa.Table) -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ _register(FRESH, derandomize=False)
 settings.load_profile(FIXED)
 
 # Hypothesis also draws constants that it finds in the source of the modules imported so far. Which ones those are
-# depends on the tests that ran before in the same process. tests/test_draws.py fails where this line has no effect.
+# depends on the tests that ran before in the same process.
 _NO_CONSTANTS = providers.Constants()
 providers._get_local_constants = lambda: _NO_CONSTANTS
 

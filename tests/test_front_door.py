@@ -157,25 +157,3 @@ def test_files_that_the_docs_name_exist(repository: Path, page: str) -> None:
     named = re.findall(r"`((?:condvln|factory|jobs|schemas|docs|deploy|tests)/[\w/.-]*)`", text)
     assert len(named) > 15
     assert [place for place in named if not (repository / place).exists()] == []
-
-
-def test_the_architecture_page_is_short_ways(repository: Path) -> None:
-    """The way of a scene has at most 15 files, and each of the five questions that everyone asks at most five."""
-    text = (repository / "docs" / "architecture.md").read_text(encoding="utf-8")
-
-    def files(part: str) -> set[str]:
-        return set(re.findall(r"[\w/.-]+\.(?:py|yaml|md)\b", part))
-
-    (way,) = re.findall(r"## The way of one scene\n(.*?)\n## ", text, re.DOTALL)
-    assert 8 <= len(files(way)) <= 15
-    (first,) = re.findall(r"Five questions.*?\n((?:\|[^\n]*\n)+)", text, re.DOTALL)
-    questions = first.splitlines()[2:]
-    assert len(questions) == 5
-    assert all(2 <= len(files(line)) <= 5 for line in questions)
-
-
-def test_the_glossary_is_sorted(repository: Path) -> None:
-    text = (repository / "docs" / "glossary.md").read_text(encoding="utf-8")
-    words = [line.split("|")[1].strip().lower() for line in text.splitlines() if line.startswith("|")][2:]
-    assert len(words) > 25
-    assert words == sorted(words)

@@ -95,15 +95,6 @@ def test_the_figure_is_that_of_the_pipeline() -> None:
     assert text_of("docs/pipeline.svg") == part("pipeline").figure(), "run python docs/site/pipeline.py"
 
 
-def test_links_become_links_between_pages() -> None:
-    shown = PAGES.with_page_links(
-        "[a](docs/zones.md#x) [b](CHANGELOG.md) [c](https://x.y) [d](#e)", "README.md", "index.md"
-    )
-    assert shown == "[a](zones.md#x) [b](changelog.md) [c](https://x.y) [d](#e)"
-    shown = PAGES.with_page_links("[a](../../configs/replicacad.yaml) [b](../zones.md)", "docs/api/x.md", "api/x.md")
-    assert shown == "[a](../examples.md#configsreplicacadyaml) [b](../zones.md)"
-
-
 # ---- command lines
 
 
@@ -134,15 +125,6 @@ def test_every_command_line_is_understood(name: str) -> None:
         if words[0] == "navmesh":
             command, rest = command.commands[rest[0]], rest[1:]
         assert command.make_context(words[0], rest).params is not None
-
-
-def test_pages_with_commands_are_known() -> None:
-    """None is lost by another way of marking a block."""
-    assert {
-        "README.md",
-        "deploy/README.md",
-        *(f"docs/{n}.md" for n in ("cookbook", "files", "nightly", "own_agent", "own_dataset", "running")),
-    } <= {*WITH_COMMANDS}
 
 
 def test_targets_and_scripts_that_pages_name_exist() -> None:

@@ -301,17 +301,7 @@ class ForeignReport:
     def document(self) -> dict[str, Any]:
         """The report as JSON."""
         return {
-            "files": {
-                name: {
-                    "texts": one.texts,
-                    "conditional": one.conditional,
-                    "read": one.read,
-                    "decided": one.decided,
-                    "scenes": one.scenes,
-                    "mean_words": round(one.mean_words, 2),
-                }
-                for name, one in self.files.items()
-            },
+            "files": {name: {**vars(one), "mean_words": round(one.mean_words, 2)} for name, one in self.files.items()},
             **self.bias.document(),
         }
 

@@ -70,7 +70,7 @@ def summary(
     return Summary(dict(group or {}), int(chosen.sum()), estimates)
 
 
-def by_axis(evaluation: Evaluation, *axes: str, seed: int = 0, measures: Sequence[str] = MEASURES) -> list[Summary]:
+def by_axis(evaluation: Evaluation, *axes: str, measures: Sequence[str] = MEASURES) -> list[Summary]:
     """Return one summary for each combination of values of ``axes`` that occurs, sorted.
 
     Raises
@@ -88,18 +88,18 @@ def by_axis(evaluation: Evaluation, *axes: str, seed: int = 0, measures: Sequenc
     for key in sorted(rows, key=lambda key: [(value is None, str(type(value)), value) for value in key]):
         where = np.zeros(len(evaluation), dtype=bool)
         where[rows[key]] = True
-        found.append(summary(evaluation, where, dict(zip(axes, key, strict=True)), seed=seed, measures=measures))
+        found.append(summary(evaluation, where, dict(zip(axes, key, strict=True)), measures=measures))
     return found
 
 
-def sweep_summary(evaluation: Evaluation, *, seed: int = 0) -> list[Summary]:
+def sweep_summary(evaluation: Evaluation) -> list[Summary]:
     """Return one summary for each success distance of the sweep."""
     scenes = evaluation.axes["scene"].astype(str)
     return [
         Summary(
             {"success_distance": radius},
             len(evaluation),
-            {name: estimate(columns[name], scenes, seed=seed) for name in SWEPT},
+            {name: estimate(columns[name], scenes) for name in SWEPT},
         )
         for radius, columns in sorted(evaluation.sweep.items())
     ]
@@ -121,7 +121,7 @@ class GroupAccuracy:
     single: Estimate
 
 
-def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
+def group_accuracy(evaluation: Evaluation) -> GroupAccuracy:
     """Return the accuracy over the counterfactual groups that have at least two episodes in the split."""
     members: dict[str, list[int]] = defaultdict(list)
     for row, group in enumerate(evaluation.group_ids):
@@ -136,11 +136,9 @@ def group_accuracy(evaluation: Evaluation, *, seed: int = 0) -> GroupAccuracy:
 
     def share(scores: npt.NDArray[np.float64]) -> Estimate:
         # All are right if the least success is 1; an unknown success makes the group unknown.
-        return estimate(np.array([scores[group].min() for group in rows]), of_groups, seed=seed)
+        return estimate(np.array([scores[group].min() for group in rows]), of_groups)
 
-    return GroupAccuracy(
-        len(rows), len(flat), share(success), share(leaf), estimate(success[flat], scenes[flat], seed=seed)
-    )
+    return GroupAccuracy(len(rows), len(flat), share(success), share(leaf), estimate(success[flat], scenes[flat]))
 
 
 def leaf_confusion(evaluation: Evaluation) -> dict[str, npt.NDArray[np.int64]]:

@@ -29,14 +29,14 @@ _MARKERS: Final = "os^Dv<>pX*P"
 """One more than the number of colours, so that agents stay distinct when colours repeat, and in black and white."""
 
 
-def axis_figure(evaluations: Sequence[Evaluation], axis: str, *, seed: int = 0) -> Figure:
+def axis_figure(evaluations: Sequence[Evaluation], axis: str) -> Figure:
     """Return a figure with one panel per measure and one line per agent, in percent with 95 % intervals."""
     figure = Figure(figsize=(3.4 * len(SHOWN) + 1.6, 3.0), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(SHOWN), sharey=True, squeeze=False)[0]
     keys = tuple(key for key, _ in SHOWN)
     for number, evaluation in enumerate(evaluations):
-        rows = [row for row in by_axis(evaluation, axis, seed=seed, measures=keys) if row.group[axis] is not None]
+        rows = [row for row in by_axis(evaluation, axis, measures=keys) if row.group[axis] is not None]
         places = np.array([float(row.group[axis]) for row in rows]) + (number - (len(evaluations) - 1) / 2) * _SHIFT
         # File names may contain a dollar sign, which would begin a formula.
         label = evaluation.agent.replace("$", r"\$")
@@ -68,7 +68,7 @@ def _dress(panel: Any, axis: str, heading: str, evaluations: Sequence[Evaluation
         panel.set_ylabel("%")
 
 
-def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int = 0) -> list[Path]:
+def save_figures(evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
     """Write ``depth.png``, ``depth.pdf``, ``chain.png`` and ``chain.pdf`` to `folder` and return their paths; equal
     scores give equal bytes.
 
@@ -84,7 +84,7 @@ def save_figures(evaluations: Sequence[Evaluation], folder: Path, *, seed: int =
         )
     written = []
     for axis in _AXES:
-        figure = axis_figure(evaluations, axis, seed=seed)
+        figure = axis_figure(evaluations, axis)
         for suffix, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None, "Producer": None})):
             path = folder / f"{axis}.{suffix}"
             write_figure(figure, path, dpi=150, metadata=metadata)

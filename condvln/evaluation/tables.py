@@ -102,26 +102,24 @@ _NOTE: Final = (
 _INTERVALS: Final = "Means with 95 % intervals, scenes drawn with replacement."
 
 
-def main_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+def main_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return a table of the main results by source and agent, and over all sources if there are several."""
-    return _grouped("main", "Main results", evaluations, ("source",), MAIN_COLUMNS, seed, note=_NOTE)
+    return _grouped("main", "Main results", evaluations, ("source",), MAIN_COLUMNS, note=_NOTE)
 
 
-def axis_table(
-    evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS, seed: int = 0
-) -> Table:
+def axis_table(evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS) -> Table:
     """Return a table of the results by one or several of :data:`~condvln.evaluation.evaluate.AXES`."""
-    return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns, seed)
+    return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns)
 
 
-def branch_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+def branch_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return the table of the branches that agents took, by source and agent."""
-    return _grouped("branches", "Branches taken", evaluations, ("source",), BRANCH_COLUMNS, seed)
+    return _grouped("branches", "Branches taken", evaluations, ("source",), BRANCH_COLUMNS)
 
 
-def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+def sweep_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return a table of the results at each success distance of the sweep."""
-    found = [(e.agent, row) for e in evaluations for row in sweep_summary(e, seed=seed)]
+    found = [(e.agent, row) for e in evaluations for row in sweep_summary(e)]
     found.sort(key=lambda pair: pair[1].group["success_distance"])
     columns = (Column("success_distance", "τ", "metres"), _AGENT, *_SWEEP_COLUMNS, _EPISODES)
     rows = tuple(
@@ -136,7 +134,7 @@ def sweep_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
     return Table("sweep", "Success distance swept", columns, rows, blocks=1)
 
 
-def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+def group_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return a table of the share of counterfactual groups in which every episode is right."""
     columns = (
         _AGENT,
@@ -148,7 +146,7 @@ def group_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
     )
     rows = []
     for evaluation in evaluations:
-        found = group_accuracy(evaluation, seed=seed)
+        found = group_accuracy(evaluation)
         estimates = (found.all_right, found.all_leaves_right, found.single)
         cells = (Cell(e.mean, e.low, e.high, e.n, e.total) for e in estimates)
         rows.append((Cell(evaluation.agent), Cell(found.groups), Cell(found.episodes), *cells))
@@ -188,12 +186,7 @@ def divergence_table(evaluations: Sequence[Evaluation], tasks: Sequence[Task]) -
     return Table("divergence", "Where agents leave the right branch", columns, tuple(rows), blocks=1)
 
 
-def comparison_table(
-    evaluations: Sequence[Evaluation],
-    measures: Sequence[str] = keys_of("comparison"),
-    *,
-    seed: int = 0,
-) -> Table:
+def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return a table of the differences between each two agents, with the p-value of a paired permutation test by
     scene.
     """
@@ -208,15 +201,15 @@ def comparison_table(
     )
     rows = []
     for first, second in combinations(evaluations, 2):
-        for measure in measures:
-            found = compare(first, second, measure, seed=seed)
+        for measure in keys_of("comparison"):
+            found = compare(first, second, measure)
             values = (found.difference, found.p_value, found.n, found.scenes)
             rows.append((Cell(first.agent), Cell(second.agent), Cell(measure), *map(Cell, values)))
     note = "Agents' labels swapped scene by scene; with k scenes p is never below 2 ÷ 2^k."
     return Table("comparison", "Agents compared", columns, tuple(rows), note, blocks=2)
 
 
-def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0) -> list[Table]:
+def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]]) -> list[Table]:
     """Return tables that compare each agent's results on a split with its results on the split's oracle-linear twin.
     Each of ``pairs`` is (original, oracle).
 
@@ -231,11 +224,9 @@ def twin_tables(pairs: Sequence[tuple[Evaluation, Evaluation]], *, seed: int = 0
         for original, oracle in pairs
     ]
     side_by_side = [evaluation for pair in told for evaluation in pair]
-    tables = [_grouped("main", "Main results", side_by_side, ("source",), TWIN_COLUMNS, seed, note=_NOTE)]
-    tables += [
-        axis_table(side_by_side, axis, columns=TWIN_COLUMNS, seed=seed) for axis in ("category", "observability")
-    ]
-    compared = [comparison_table(pair, seed=seed) for pair in told]
+    tables = [_grouped("main", "Main results", side_by_side, ("source",), TWIN_COLUMNS, note=_NOTE)]
+    tables += [axis_table(side_by_side, axis, columns=TWIN_COLUMNS) for axis in ("category", "observability")]
+    compared = [comparison_table(pair) for pair in told]
     tables.append(replace(compared[0], rows=tuple(row for table in compared for row in table.rows)))
     return [replace(t, name=f"twin_{t.name}", title=f"Oracle and conditional text: {t.title}") for t in tables]
 
@@ -245,22 +236,22 @@ ORACLE_TEXT: Final = " (oracle text)"
 """What follows an agent's name in results on the oracle-linear twin."""
 
 
-def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task], *, seed: int = 0) -> list[Table]:
+def all_tables(evaluations: Sequence[Evaluation], tasks: Sequence[Task]) -> list[Table]:
     """Return all tables that compare agents, with one of `evaluations` for each agent. An axis without known values has
     no table.
     """
-    tables = [main_table(evaluations, seed=seed), branch_table(evaluations, seed=seed)]
+    tables = [main_table(evaluations), branch_table(evaluations)]
     for axis in AXES[2:]:  # source is in the main table, and scene would fill pages
         if any(value is not None for evaluation in evaluations for value in evaluation.axes[axis]):
-            tables.append(axis_table(evaluations, axis, seed=seed))
+            tables.append(axis_table(evaluations, axis))
     if any(evaluation.sweep for evaluation in evaluations):
-        tables.append(sweep_table(evaluations, seed=seed))
+        tables.append(sweep_table(evaluations))
     tables.append(divergence_table(evaluations, tasks))
     tables += [table for evaluation in evaluations for table in confusion_tables(evaluation)]
     if any(group is not None for evaluation in evaluations for group in evaluation.group_ids):
-        tables.append(group_table(evaluations, seed=seed))
+        tables.append(group_table(evaluations))
     if len(evaluations) > 1:
-        tables.append(comparison_table(evaluations, seed=seed))
+        tables.append(comparison_table(evaluations))
     return [table for table in tables if table.rows]
 
 
@@ -270,17 +261,16 @@ def _grouped(
     evaluations: Sequence[Evaluation],
     axes: Sequence[str],
     columns: Sequence[Column],
-    seed: int,
     note: str = "",
 ) -> Table:
     measures = tuple(column.key for column in columns)
     blocks: dict[tuple[object, ...], list[tuple[str, Summary]]] = {}
     for evaluation in evaluations:
-        for row in by_axis(evaluation, *axes, seed=seed, measures=measures):
+        for row in by_axis(evaluation, *axes, measures=measures):
             blocks.setdefault(tuple(row.group.values()), []).append((evaluation.agent, row))
     if len(blocks) > 1:
         for evaluation in evaluations:
-            row = summary(evaluation, group=dict.fromkeys(axes, "all"), seed=seed, measures=measures)
+            row = summary(evaluation, group=dict.fromkeys(axes, "all"), measures=measures)
             blocks.setdefault(("all",) * len(axes), []).append((evaluation.agent, row))
     # A measure that no agent's file has gets no column.
     told = [row for found in blocks.values() for _, row in found]

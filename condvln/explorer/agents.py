@@ -111,7 +111,7 @@ AXES: Final = ("category", "depth", "chain", "source", "observability")
 MEASURES: Final = metrics_of("differences")
 
 
-def difference_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Table:
+def difference_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return the differences between each two agents over the episodes of a split that both were scored on. It has no
     rows if the agents were scored on different episodes.
 
@@ -136,7 +136,7 @@ def difference_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Tab
             values = first.axes[axis].tolist() if axis else ["all"] * len(first)
             for value in sorted({str(value) for value in values if value is not None}):
                 chosen = np.array([str(one) == value for one in values], dtype=bool)
-                rows.append(_row(first, second, axis or "all", value, chosen, seed))
+                rows.append(_row(first, second, axis or "all", value, chosen))
     note = (
         "Differences are in percentage points, over the same episodes. In brackets: 95 % intervals, scenes drawn with "
         "replacement; with one scene there is none."
@@ -144,14 +144,11 @@ def difference_table(evaluations: Sequence[Evaluation], *, seed: int = 0) -> Tab
     return Table("differences", "How much better one agent is", columns, tuple(rows), note, blocks=3)
 
 
-def _row(
-    first: Evaluation, second: Evaluation, axis: str, value: str, chosen: NDArray[np.bool_], seed: int
-) -> tuple[Cell, ...]:
+def _row(first: Evaluation, second: Evaluation, axis: str, value: str, chosen: NDArray[np.bool_]) -> tuple[Cell, ...]:
     scenes = first.axes["scene"][chosen].astype(str)
     own, other = (float(np.nanmean(one.scores["success"][chosen])) for one in (first, second))
     found = [
-        estimate(first.scores[name][chosen] - second.scores[name][chosen], scenes, seed=seed)
-        for name in keys_of("differences")
+        estimate(first.scores[name][chosen] - second.scores[name][chosen], scenes) for name in keys_of("differences")
     ]
     cells = [Cell(one.mean, one.low, one.high, one.n, one.total) for one in found]
     total = int(chosen.sum())

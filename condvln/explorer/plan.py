@@ -63,7 +63,7 @@ def _room(room: Room) -> Document:
         "level": room.level,
         "floor": _number(room.floor_y),
         "ceiling": _number(room.ceiling_y),
-        "polygon": None if room.polygon is None else _rows(room.polygon),
+        "polygon": None if room.polygon is None else [_row(corner) for corner in room.polygon],
         "annotation": room.annotation,
         "complete": room.complete,
     }
@@ -98,10 +98,6 @@ def _object(item: SceneObject, rooms: Mapping[str, int], seen: Mapping[str, Any]
 def _corners(box: Footprint) -> list[float]:
     corners = box.center + (np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * box.half) @ box.axes
     return _row(corners.ravel())
-
-
-def _rows(values: F64) -> list[list[float]]:
-    return [_row(row) for row in values]
 
 
 def _row(values: Sequence[float] | F64) -> list[float]:

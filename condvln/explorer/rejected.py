@@ -85,12 +85,8 @@ def _bare(condition: Condition) -> Condition:
 
 def _condition(one: Condition) -> str:
     anchors = "" if one.qualifier is None else f" {one.qualifier.predicate} {' and '.join(one.qualifier.anchor_labels)}"
-    return f"{one.label}{anchors.rstrip()} in {_room(one)}"
+    return f"{one.label}{anchors.rstrip()} in {one.room.label} ({one.room.room_id})"
 
 
 def _stop(stop: ObjectRef) -> str:
     return f"{stop.label} ({stop.object_id})"
-
-
-def _room(one: Condition) -> str:
-    return f"{one.room.label} ({one.room.room_id})"

@@ -45,7 +45,7 @@ def dataset_card(report: ExportReport) -> str:
         f"# {_NAME}",
         _introduction(report),
         "## Files",
-        _files(report),
+        _FILES % (_R2R if report.r2r_episodes else "", _PLANS if report.pictures else ""),
         _meshes(report),
         "## Episodes",
         _counts(report),
@@ -130,10 +130,6 @@ _R2R: Final = (
     "| `r2r/` | discrete R2R over Matterport viewpoints, of the scans of Matterport3D; each path has its text three "
     "times |\n"
 )
-
-
-def _files(report: ExportReport) -> str:
-    return _FILES % (_R2R if report.r2r_episodes else "", _PLANS if report.pictures else "")
 
 
 def _meshes(report: ExportReport) -> str:

@@ -8,8 +8,6 @@ from condvln.samples.maker import (
     make_layout,
     make_layouts,
     make_samples,
-    write_ai2thor_hab,
-    write_replicacad,
 )
 
 __all__ = [
@@ -24,6 +22,4 @@ __all__ = [
     "make_layout",
     "make_layouts",
     "make_samples",
-    "write_ai2thor_hab",
-    "write_replicacad",
 ]

@@ -5,7 +5,7 @@ polygons and as a ``.navmesh`` file.
 from __future__ import annotations
 
 import heapq
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import shapely
@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.polygon_tile import tile_of_polygons
-from condvln.navigation.recast import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.layout import WALL_THICKNESS, Layout
 from condvln.samples.room_space import AGENT_HEIGHT, BLOCKING_HEIGHT, opened
-from condvln.samples.solid import layout_triangles
 
 __all__ = [
     "NAVMESH_HEIGHT",
-    "NavmeshEngine",
     "convex_polygons",
     "free_floor",
     "navmesh_of",
@@ -66,8 +63,6 @@ def open_plan(layout: Layout) -> shapely.Geometry:
     return shapely.union_all([*rooms, *doors], grid_size=MILLIMETRE)
 
 
-NavmeshEngine = Literal["polygons", "recast"]
-
 NAVMESH_HEIGHT: Final = 0.1
 """Height in metres of the navmesh above the floor: where Habitat's voxels put it above a floor slab 0.1 m thick."""
 
@@ -78,16 +73,8 @@ KEY_DECIMALS: Final = 6
 """Decimals in metres that distinguish corners; corners lie on the millimetre grid."""
 
 
-def navmesh_of(layout: Layout, settings: NavMeshSettings, engine: NavmeshEngine = "polygons") -> NavMeshFile:
-    """Return the navmesh of a layout for an agent of ``settings.agent_radius``.
-
-    Parameters
-    ----------
-    engine : ``polygons`` uses the exact free floor, which is one island; ``recast`` voxelises the layout's triangles as
-        Habitat does, including tops of furniture
-    """
-    if engine == "recast":
-        return build_navmesh(*layout_triangles(layout), settings)
+def navmesh_of(layout: Layout, settings: NavMeshSettings) -> NavMeshFile:
+    """Return the navmesh of a layout for an agent of ``settings.agent_radius``: the exact free floor, one island."""
     vertices, polygons = convex_polygons(free_floor(layout, settings.agent_radius))
     points = np.column_stack([vertices[:, 0], np.full(len(vertices), NAVMESH_HEIGHT), vertices[:, 1]])
     return NavMeshFile.of_tile(tile_of_polygons(points, polygons, settings), settings)

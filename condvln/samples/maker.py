@@ -14,7 +14,7 @@ from typing import Final
 import shapely
 
 from condvln.formats.streams import atomic_path
-from condvln.samples.floor_mesh import NavmeshEngine, free_floor
+from condvln.samples.floor_mesh import free_floor
 from condvln.samples.floor_plan import MAX_ROOMS, MIN_ROOMS, FloorPlan, PlanDoor, Rect, draw_floor_plan, metres
 from condvln.samples.furnishing import furnish
 from condvln.samples.gibson import gibson_files
@@ -36,8 +36,6 @@ __all__ = [
     "make_layout",
     "make_layouts",
     "make_samples",
-    "write_ai2thor_hab",
-    "write_replicacad",
 ]
 
 
@@ -226,35 +224,8 @@ def make_samples(
         raise UsageError(
             f"the number of scenes must be positive, got {scenes}", place="scenes", remedy="Ask for at least one."
         )
-    layouts = make_layouts(scenes, seed)
-    return _write(Path(folder), family, layouts, FORMS[family](layouts))
-
-
-def write_replicacad(folder: Path, layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> SampleReport:
-    """Write `layouts`, which are keyed by scene name, as a ReplicaCAD dataset. Raises the errors of `make_samples`."""
-    return _write(folder, "replicacad", layouts, replicacad_files(layouts, navmesh))
-
-
-def write_ai2thor_hab(folder: Path, layouts: Mapping[str, Layout]) -> SampleReport:
-    """Write `layouts` in Habitat's form of ProcTHOR: the scene dataset to ``hab/``, the houses to ``houses/``. Raises
-    the errors of `make_samples`.
-    """
-    return _write(folder, HABITAT_PROCTHOR, layouts, ai2thor_hab_files(layouts))
-
-
-def _n_rooms(seed: int, k: int) -> int:
-    """Return the number of rooms of scene k. In each block of seven scenes (0–6, 7–13, …), every number from two to
-    eight occurs once, in random order.
-    """
-    sizes = list(range(MIN_ROOMS, MAX_ROOMS + 1))
-    random.Random(f"sizes/{seed}/{k // len(sizes)}").shuffle(sizes)
-    return sizes[k % len(sizes)]
-
-
-def _write(
-    folder: Path, form: str, layouts: Mapping[str, Layout], content_of: Iterator[tuple[str, bytes]]
-) -> SampleReport:
-    files = {folder / path: content for path, content in content_of}
+    root, layouts = Path(folder), make_layouts(scenes, seed)
+    files = {root / path: content for path, content in FORMS[family](layouts)}
     # Nothing is written before all existing files were checked.
     there = {file for file in files if file.exists()}
     for file in sorted(there):
@@ -264,14 +235,23 @@ def _write(
         if file not in there:
             with atomic_path(file, durable=False) as part:
                 part.write_bytes(content)
-    joined = form == HABITAT_PROCTHOR
+    joined = family == HABITAT_PROCTHOR
     return SampleReport(
-        folder=folder,
-        family="procthor" if joined else form,
-        parts={"root": folder / SCENES, "houses": folder / HOUSES} if joined else {"root": folder},
+        folder=root,
+        family="procthor" if joined else family,
+        parts={"root": root / SCENES, "houses": root / HOUSES} if joined else {"root": root},
         scenes=tuple(layouts),
         rooms=sum(len(layout.rooms) for layout in layouts.values()),
         objects=sum(len(layout.furniture) for layout in layouts.values()),
         files=len(files),
         bytes=sum(map(len, files.values())),
     )
+
+
+def _n_rooms(seed: int, k: int) -> int:
+    """Return the number of rooms of scene k. In each block of seven scenes (0–6, 7–13, …), every number from two to
+    eight occurs once, in random order.
+    """
+    sizes = list(range(MIN_ROOMS, MAX_ROOMS + 1))
+    random.Random(f"sizes/{seed}/{k // len(sizes)}").shuffle(sizes)
+    return sizes[k % len(sizes)]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.catalogue import catalogue, class_ids, record
-from condvln.samples.floor_mesh import NavmeshEngine, navmesh_of
+from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Furniture, Layout, Room
 from condvln.samples.models import Model, articulated_files, bodies, glb_of_boxes, models_of
 from condvln.samples.solid import floor_boxes, wall_boxes
@@ -36,13 +36,12 @@ F64 = NDArray[np.float64]
 Json = dict[str, Any]
 
 
-def replicacad_files(layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "polygons") -> Iterator[tuple[str, bytes]]:
+def replicacad_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
     """Yield all files of the dataset as (path relative to its root, bytes), the dataset configuration first.
 
     Parameters
     ----------
     layouts : scene name to layout; a scene's files depend only on its own layout and name
-    navmesh : how the navmeshes are made, see ``navmesh_of``
     """
     yield f"{DATASET}.scene_dataset_config.json", _json(_dataset_config(layouts))
     yield f"configs/ssd/{LEXICON}.json", _json({"classes": [{"name": n, "id": i} for n, i in class_ids().items()]})
@@ -58,12 +57,10 @@ def replicacad_files(layouts: Mapping[str, Layout], navmesh: NavmeshEngine = "po
             yield f"urdf/{body.urdf}/{file}", content
         yield f"urdf/{body.urdf}/{body.urdf}.ao_config.json", _json({"user_defined": {}})
     for name, layout in layouts.items():
-        yield from _scene_files(name, layout, models, navmesh)
+        yield from _scene_files(name, layout, models)
 
 
-def _scene_files(
-    name: str, layout: Layout, models: Mapping[tuple[str, int], Model], navmesh: NavmeshEngine
-) -> Iterator[tuple[str, bytes]]:
+def _scene_files(name: str, layout: Layout, models: Mapping[tuple[str, int], Model]) -> Iterator[tuple[str, bytes]]:
     stage = f"Stage_{name}"
     shell = glb_of_boxes({"floor": floor_boxes(layout), "walls": wall_boxes(layout)})
     yield f"stages/{stage}.glb", shell
@@ -74,7 +71,7 @@ def _scene_files(
     yield f"configs/semantics/{name}.semantic_config.json", _json(described)
     for folder, radius in RADII.items():
         settings = NavMeshSettings(agent_radius=radius, include_static_objects=True)
-        yield f"{folder}/{name}.navmesh", navmesh_of(layout, settings, navmesh).to_bytes()
+        yield f"{folder}/{name}.navmesh", navmesh_of(layout, settings).to_bytes()
 
 
 def _json(document: Json) -> bytes:

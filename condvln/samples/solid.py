@@ -16,7 +16,7 @@ from condvln.samples.catalogue import catalogue
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout
 from condvln.samples.models import box_placements, glb_of_cubes, part_boxes
 
-__all__ = ["FLOOR_THICKNESS", "floor_boxes", "layout_glb", "layout_triangles", "piece_corners", "wall_boxes"]
+__all__ = ["FLOOR_THICKNESS", "floor_boxes", "layout_glb", "piece_corners", "wall_boxes"]
 
 F64 = NDArray[np.float64]
 
@@ -110,16 +110,6 @@ def piece_corners(piece: Furniture) -> F64:
     boxes = part_boxes(catalogue()[piece.kind].shape, piece.size)
     placed: F64 = _corners(boxes) @ piece.yaw.matrix.T + np.array(piece.center)
     return placed
-
-
-def layout_triangles(layout: Layout) -> tuple[F64, NDArray[np.int32]]:
-    """Return the vertices (n, 3) in metres and faces (m, 3) of a layout: floors first, then walls, then the furniture
-    in the layout's order.
-    """
-    shell = _corners(np.concatenate([floor_boxes(layout), wall_boxes(layout)]))
-    boxes = np.concatenate([shell, *(piece_corners(piece) for piece in layout.furniture)])
-    faces = FACES[None] + 8 * np.arange(len(boxes), dtype=np.int32)[:, None, None]
-    return boxes.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def layout_glb(layout: Layout, frame: F64 | None = None) -> bytes:

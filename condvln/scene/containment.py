@@ -106,7 +106,7 @@ def _stated(item: SceneObject, of: Mapping[str, SceneObject], links: _Links) -> 
     """
     for name in dict.fromkeys(item.receptacles or ()):
         holder = of.get(name)
-        if holder is None or holder is item or _is_structure(holder) or _too_large(item, holder):
+        if holder is None or holder is item or vocabulary.is_structure(holder.label) or _too_large(item, holder):
             continue
         if _is_inside(item, holder):
             links.inside.setdefault(item.object_id, []).append(
@@ -141,7 +141,7 @@ def _measured(members: Sequence[SceneObject], links: _Links) -> None:
     """Add the links that follow from the boxes of one room's objects. The links give containers and supports to objects
     for which the source states none.
     """
-    things = [item for item in members if item.box is not None and not _is_structure(item)]
+    things = [item for item in members if item.box is not None and not vocabulary.is_structure(item.label)]
     if not things:
         return
     boxes = np.array([_mm(item.box) for item in things if item.box is not None])
@@ -224,10 +224,6 @@ def _rooms(objects: Sequence[SceneObject]) -> list[list[SceneObject]]:
     for item in objects:
         rooms.setdefault(item.room_id, []).append(item)
     return [sorted(rooms[name], key=lambda item: item.object_id) for name in sorted(rooms)]
-
-
-def _is_structure(item: SceneObject) -> bool:
-    return vocabulary.is_structure(item.label)
 
 
 def _too_large(item: SceneObject, holder: SceneObject) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.glb_part import GlbPart, MaterialReader, Primitive, read_part
-from condvln.labels import Vocabulary, vocabulary
+from condvln.labels import vocabulary
 from condvln.scene import MeshPart, OrientedBox, Scene, SceneObject
 from condvln.scene.boxes import transform_points
 from condvln.scene.meshes import coordinates_of, world_transforms
@@ -167,7 +167,7 @@ MARGIN: Final = 0.05
 I64 = NDArray[np.int64]
 
 
-def scene_surfaces(scene: Scene, geometry: SceneGeometry | None, words: Vocabulary = vocabulary) -> Surfaces:
+def scene_surfaces(scene: Scene, geometry: SceneGeometry | None) -> Surfaces:
     """Return all visible surfaces of a scene.
 
     Parameters
@@ -179,15 +179,15 @@ def scene_surfaces(scene: Scene, geometry: SceneGeometry | None, words: Vocabula
     InputError : a mesh can't be read
     """
     if geometry is not None and geometry.approximate:
-        return _drawn(scene, geometry, (BOXES,), words)
+        return _drawn(scene, geometry, (BOXES,))
     if scene.stage or any(item.mesh for item in scene.objects):
-        return _assembled(scene, words)
-    things = [(k, o) for k, o in enumerate(scene.objects) if not _is_structure(o.label, words)]
+        return _assembled(scene)
+    things = [(k, o) for k, o in enumerate(scene.objects) if not vocabulary.is_structure(o.label)]
     floors = [floor(room.polygon, room.floor_y) for room in scene.rooms if room.polygon is not None]
-    return _drawn(scene, joined([*floors, object_boxes(things)], approximate=True), (BOXES, NO_WALLS), words)
+    return _drawn(scene, joined([*floors, object_boxes(things)], approximate=True), (BOXES, NO_WALLS))
 
 
-def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
+def _assembled(scene: Scene) -> Surfaces:
     files = DatasetRoot(scene.root)
     builder = SurfaceBuilder()
     known: dict[str, DrawnFile] = {}
@@ -206,7 +206,7 @@ def _assembled(scene: Scene, words: Vocabulary) -> Surfaces:
     notes = [*([] if scene.stage else [NO_STAGE]), *_unread(known)]
     scan = not any(item.mesh for item in scene.objects)
     surfaces = builder.surfaces([*notes, OWNERS_BY_BOX] if scan else notes)
-    return replace(surfaces, owner=_owners_by_box(surfaces, scene, words)) if scan else surfaces
+    return replace(surfaces, owner=_owners_by_box(surfaces, scene)) if scan else surfaces
 
 
 def _unread(files: Mapping[str, DrawnFile]) -> list[str]:
@@ -226,7 +226,7 @@ def _unread(files: Mapping[str, DrawnFile]) -> list[str]:
     return notes
 
 
-def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArray[np.int32]:
+def _owners_by_box(surfaces: Surfaces, scene: Scene) -> NDArray[np.int32]:
     """Return for each triangle (m,) the index of the object whose box contains the triangle. If several boxes contain
     it, the smallest box counts; if none does, the index is `STRUCTURE`.
     """
@@ -237,7 +237,7 @@ def _owners_by_box(surfaces: Surfaces, scene: Scene, words: Vocabulary) -> NDArr
     boxes = [
         (float(np.prod(half)), number, centre, half, axes)
         for number, item in enumerate(scene.objects)
-        if not _is_structure(item.label, words)
+        if not vocabulary.is_structure(item.label)
         for centre, half, axes in _boxes(item.obb, item.box)
     ]
     for _, number, centre, half, axes in sorted(boxes, key=lambda box: (-box[0], box[1])):
@@ -258,7 +258,7 @@ def _boxes(obb: OrientedBox | None, box: F64 | None) -> list[tuple[F64, F64, F64
     return [] if box is None else [(box.mean(axis=0), (box[1] - box[0]) / 2, np.eye(3))]
 
 
-def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: Vocabulary) -> Surfaces:
+def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str]) -> Surfaces:
     builder = SurfaceBuilder()
     corners = geometry.vertices[geometry.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -283,7 +283,7 @@ def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str], words: V
             _add(builder, corners, rows, light, owner, colour)
             continue
         _add(builder, corners[:, ::-1], rows, light, owner, colour)
-        if words.is_frame(item.label):
+        if vocabulary.is_frame(item.label):
             tops = rows[level[rows] & (normals[rows, 1] > 0)]
             lowered = corners[tops]
             lowered[:, :, 1] = np.minimum(lowered[:, :, 1], holders[owner])
@@ -318,7 +318,3 @@ def _add(builder: SurfaceBuilder, corners: F64, rows: I64, light: F64, owner: in
         tint = np.round(light[rows, None, None] * 255).astype(np.uint8)
         tints = np.broadcast_to(tint, (len(rows), 3, 3))
         builder.add(corners[rows], owner, builder.material(Material(colour)), colours=tints)
-
-
-def _is_structure(label: str, words: Vocabulary) -> bool:
-    return label in words.labels and words.entry(label).kind == "structure"

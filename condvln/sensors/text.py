@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
-from condvln.labels import Vocabulary, vocabulary
+from condvln.labels import vocabulary
 from condvln.scene import Room, Scene
 from condvln.seeding import generator
 from condvln.sensors.camera import pixel_rays
@@ -127,16 +127,14 @@ class TextSensor:
         renderer: Renderer,
         camera: CameraConfig = TEXT_CAMERA,
         noise: NoiseConfig | None = None,
-        words: Vocabulary = vocabulary,
     ) -> None:
         self._scene, self._renderer, self._camera, self._noise = scene, renderer, camera, noise
         self._rooms = [room.label for room in scene.rooms]
         number = {room.room_id: k for k, room in enumerate(scene.rooms)}
         self._room_of = [number.get(item.room_id) for item in scene.objects]
-        known = words.labels
-        self._named = np.array(
-            [False, *(o.label in known and words.entry(o.label).kind != "structure" for o in scene.objects)]
-        )
+        known = vocabulary.labels
+        named = (o.label in known and not vocabulary.is_structure(o.label) for o in scene.objects)
+        self._named = np.array([False, *named])
         self._labels = sorted({o.label for o, named in zip(scene.objects, self._named[1:], strict=True) if named})
         columns, _ = pixel_rays(camera)
         self._columns = np.broadcast_to(columns, (camera.height, camera.width)).reshape(-1)
@@ -216,7 +214,7 @@ class KnownMap:
 
     def __str__(self) -> str:
         lines = ["Rooms so far: " + (", ".join(self.rooms) or "none") + "."]
-        for room in _in_order(room for _, room, _, _ in self.things):
+        for room in dict.fromkeys(room for _, room, _, _ in self.things):
             names = sorted(label for label, place, _, _ in self.things if place == room)
             lines.append(f"Seen in the {room}: {', '.join(names)}." if room else f"Seen elsewhere: {', '.join(names)}.")
         return "\n".join(lines)
@@ -245,7 +243,3 @@ def _room_at(rooms: Sequence[Room], position: F64) -> Room | None:
 def _is_same(thing: SeenThing, known: tuple[str, str | None, float, float], there: tuple[float, float]) -> bool:
     label, room, x, z = known
     return (label, room) == (thing.label, thing.room) and math.hypot(x - there[0], z - there[1]) <= SAME_PLACE
-
-
-def _in_order(values: Iterable[str | None]) -> list[str | None]:
-    return list(dict.fromkeys(values))

@@ -370,15 +370,7 @@ class WalkRows:
 
     def leave_out(self, episode: ManifestEpisode, found: LeftOut) -> None:
         """Add a walk that could not be made."""
-        self._left_out.append(
-            {
-                "scene_id": self._scene_id,
-                "episode_id": int(episode.episode_id),
-                "kind": found.kind,
-                "number": found.number,
-                "reason": found.reason,
-            }
-        )
+        self._left_out.append({"scene_id": self._scene_id, "episode_id": int(episode.episode_id), **vars(found)})
 
     def tables(self) -> dict[str, pa.Table]:
         """Return the tables by name."""

@@ -227,21 +227,6 @@ def test_a_marked_condition_is_part_of_the_address(page: Page, made: Run) -> Non
     assert "mark" not in page.run("return location.hash")
 
 
-def test_the_legend_has_each_line_of_the_plan(page: Page, made: Run) -> None:
-    name, row = max(made.manifest.items(), key=lambda item: (item[1]["split"] == made.split, len(item[1]["leaves"])))
-    page.go(f"#/episode/{name}")
-    styles = """return [...document.querySelectorAll(arguments[0])].map((node) => {
-        const own = getComputedStyle(node); return `${own.stroke} ${own.strokeDasharray}`; })"""
-    ways = set(page.run(styles, ".layer-paths .way"))
-    walks = set(page.run(styles, ".layer-walk .way"))
-    assert len(ways) == len(row["leaves"]) + 1, "the looking path has a line of its own"
-    assert len(walks) == 2, "two agents are shown at first"
-    assert set(page.run(styles, ".legend .way")) == ways
-    assert set(page.run(styles, ".playback label .way")) >= walks
-    assert not {line.rsplit(" ", 1)[0] for line in ways} & {line.rsplit(" ", 1)[0] for line in walks}
-    assert len(page.all(".legend li")) >= len(row["leaves"]) + 4
-
-
 def test_the_plan_is_to_scale(page: Page, made: Run) -> None:
     name, row = min(made.manifest.items())
     page.go(f"#/episode/{name}")
@@ -300,17 +285,6 @@ def test_keys_and_links_lead_through_a_list(page: Page, made: Run) -> None:
     page.key("ESCAPE")
     page.until("return location.hash.startsWith('#/browse')")
     assert page.texts(".episodes .id") == listed
-
-
-def test_a_link_leads_to_the_top_of_a_view(page: Page, made: Run) -> None:
-    page.size(390)
-    page.open("#/browse")
-    before = page.run("window.scrollTo(0, 99999); return window.scrollY")
-    assert before > 0
-    page.run("[...document.querySelectorAll('.episodes a')].pop().click()")
-    shown = "document.title.includes(location.hash.split('/')[2].split('?')[0])"
-    page.until(f"return location.hash.startsWith('#/episode') && {shown}")
-    assert page.run("return window.scrollY") == 0
 
 
 def test_a_group_is_shown_side_by_side(page: Page, made: Run) -> None:
@@ -390,39 +364,6 @@ def test_labels_do_not_overlap_and_the_page_fits(page: Page, made: Run) -> None:
         ):
             page.open(address)
             assert page.run("return document.documentElement.scrollWidth <= arguments[0]", width), (width, address)
-
-
-def test_relations_are_readable_at_any_width(page: Page, made: Run) -> None:
-    source, scene, subject = made.ask("""select source, scene_id, subject from relations where kind = 'canonical'
-        group by all order by count(distinct target) desc, 1, 2, 3""")[0]
-    nodes = "#relations, #relations .scroll, #relations td, #relations tbody th"
-    fits = """return [...document.querySelectorAll(arguments[0])]
-        .filter((node) => node.scrollWidth > node.clientWidth + 1).map((node) => node.textContent)"""
-    words = """return [...document.querySelectorAll('.predicates li')]
-        .filter((node) => node.getClientRects().length !== 1 || node.getBoundingClientRect().height > 30)
-        .map((node) => node.textContent)"""
-    for width in (1280, 390):
-        page.size(width)
-        page.open(f"#/scene/{source}%2F{scene.replace('/', '%2F')}?object={subject}")
-        assert page.all(".predicates li.fit")
-        assert page.run(fits, nodes) == [], width
-        assert page.run(words) == [], width
-
-
-def test_evidence_and_differences_are_readable_at_any_width(page: Page, made: Run) -> None:
-    fits = """return [...document.querySelectorAll('.stacked .scroll, .stacked td, .stacked tbody th')]
-        .filter((node) => node.scrollWidth > node.clientWidth + 1).map((node) => node.textContent)"""
-    name, k = relational(made, False)
-    for width in (1280, 390):
-        page.size(width)
-        for address in (f"#/episode/{name}?mark={'ABCDEFGH'[k]}", "#/agents"):
-            page.open(address)
-            assert page.all(".stacked td")
-            assert page.run(fits) == [], (width, address)
-    page.open(f"#/episode/{name}")
-    tops = page.run("""return ['instruction', 'plan', 'tree']
-        .map((name) => [name, document.querySelector(`.${name}`).getBoundingClientRect().top])""")
-    assert [kind for kind, _ in sorted(tops, key=lambda one: one[1])] == ["instruction", "plan", "tree"]
 
 
 def test_a_broken_address_says_so(page: Page) -> None:

@@ -15,8 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import condvln
-import condvln.navigation
 from condvln.compiled import KERNEL_SOURCES
 
 ASK = """
@@ -107,14 +105,15 @@ def test_kernels_use_values_and_functions_of_files_in_the_digest_only(repository
     """What a file with kernels imports of this project is in the digest, or no value that numba puts into the code."""
     counted = {file for pattern in KERNEL_SOURCES for file in repository.glob(pattern)}
     packages = [repository / name for name in ("condvln", "factory", "jobs", "schemas")]
-    trees = {file: ast.parse(file.read_text(encoding="utf-8")) for folder in packages for file in folder.rglob("*.py")}
+    texts = {file: file.read_text(encoding="utf-8") for folder in packages for file in folder.rglob("*.py")}
+    trees = {file: ast.parse(text) for file, text in texts.items() if "numba" in text or "compiled" in text}
     assert [file.name for file, tree in trees.items() if "numba" in imported(tree)] == ["compiled.py"]
     decorators = {"condvln.compiled", "condvln.compiled.compiled", "condvln.compiled.inlined"}
     with_kernels = {file for file, tree in trees.items() if decorators & imported(tree)}
     assert with_kernels
     assert with_kernels <= counted
     for file in with_kernels:
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(trees[file]):
             name = getattr(node, "module", None) or ""
             if not isinstance(node, ast.ImportFrom) or name.split(".")[0] not in ("condvln", "schemas"):
                 continue
@@ -122,14 +121,3 @@ def test_kernels_use_values_and_functions_of_files_in_the_digest_only(repository
                 for one in node.names:
                     value = getattr(importlib.import_module(name), one.name)
                     assert not isinstance(value, bool | int | float | tuple | np.generic | np.ndarray), (file, one.name)
-
-
-def test_public_names_load_on_first_use() -> None:
-    assert set(condvln.navigation.__all__) == set(condvln.navigation._MODULE_OF)
-    for name in condvln.navigation.__all__:
-        assert getattr(condvln.navigation, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        condvln.navigation.nothing  # noqa: B018
-    code = "import sys, condvln.navigation.settings; print('numba' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"

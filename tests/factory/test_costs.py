@@ -34,15 +34,6 @@ def model(*receipts: Receipt) -> CostModel:
     return CostModel(writer.finish(), toys.pipeline())
 
 
-def test_a_first_run_goes_by_estimates() -> None:
-    unit = replace(toys.unit("a/x"), costs={"count": 1.0, "square": 2.0})
-    found = model()
-    assert [found.stage_seconds(unit, -1, s) for s in ("count", "square", "word")] == [1.0, 2.0, 0.0]
-    assert found.seconds(unit, -1) == 3.0
-    assert found.seconds(unit, -1, 1) == 2.0
-    assert found.seconds(unit, -1, 0, 1) == 1.0
-
-
 def test_a_published_stage_costs_what_it_took_scaled_with_its_estimate() -> None:
     found = model(made("a/x", {"count": 4.0}, estimate=1.0))
     unit = toys.unit("a/x")

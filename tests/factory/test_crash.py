@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -105,28 +101,6 @@ def test_killed_at_every_point_the_next_run_ends_the_same(
     }
     assert len(again) <= (1 if point.startswith("unit-be") else 0)
     assert committed <= {path.parent.name for path in (store.root / "units").rglob("unit.json")}
-
-
-def test_killed_from_outside_mid_run(tmp_path: Path, expected: tuple[str | None, dict[str, bytes]]) -> None:
-    """SIGKILL with no warning, to a plain driver process, at no particular point."""
-    store, log = tmp_path / "store", tmp_path / "log"
-    log.mkdir()
-    script = (
-        "import sys, toys; from factory.run import run; from factory.store import LocalStore;"
-        "units = toys.units(int(sys.argv[3]), log=sys.argv[2], seconds=0.05);"
-        "run(toys.pipeline(), units, LocalStore(sys.argv[1]), part_bytes=300)"
-    )
-    driver = subprocess.Popen([sys.executable, "-c", script, str(store), str(log), str(UNITS)])
-    while len([*log.iterdir()]) < 5:
-        assert driver.poll() is None
-        time.sleep(0.005)
-    os.kill(driver.pid, signal.SIGKILL)
-    driver.wait()
-    done = len([*store.glob("units/count/*/*/unit.json")])
-    assert 4 <= done < UNITS
-    report = run(toys.pipeline(), corpus(str(log)), LocalStore(store, durable=False), part_bytes=300)
-    assert report.snapshot_id == expected[0]
-    assert report.stages["count"] == UNITS - done
 
 
 def test_readers_never_see_part_of_a_snapshot(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from functools import partial
 
 import pytest
@@ -47,11 +46,6 @@ def test_a_long_unit_is_mentioned_at_growing_intervals() -> None:
     assert said[-1] == BUSY_SECONDS
 
 
-def test_a_message_names_scene_and_stage() -> None:
-    assert Busy("ithor/FloorPlan1", "episodes", 75.2).message == "ithor/FloorPlan1: at stage episodes for 75 s"
-    assert Busy("a", "", 75.0).message == "a: in a task of Ray for 75 s"
-
-
 def test_an_inline_run_says_where_it_is(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
     # By the module: ``factory.run`` is the function.
     monkeypatch.setattr(sys.modules["factory.run"], "Heartbeat", partial(Heartbeat, after=0.2, pause=0.02))
@@ -75,18 +69,3 @@ def test_receipts_say_what_was_expected_and_phases_add_up(store: LocalStore) -> 
         assert workers == 1
     # The first pass makes one of three stages of equal estimates.
     assert second[2] == pytest.approx(2 * first[2])
-
-
-def test_a_heartbeat_ends_with_its_block() -> None:
-    looks: list[float] = []
-
-    def look() -> list[Busy]:
-        looks.append(time.monotonic())
-        return []
-
-    with Heartbeat(look, lambda busy: None, pause=0.01):
-        while not looks:
-            time.sleep(0.01)
-    count = len(looks)
-    time.sleep(0.1)
-    assert len(looks) == count

@@ -7,47 +7,19 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pytest
 import toys
 from faulty import FaultyStore
-from ray.remote_function import RemoteFunction
 
 from factory import machine
-from factory.dispatch import METRICS, RETRIES, RunMetrics
+from factory.dispatch import METRICS, RunMetrics
 from factory.ray_executor import RayExecutor
 from factory.run import run
 from factory.store import LocalStore
-from schemas.errors import TransientIOError
 
 pytestmark = pytest.mark.ray
-
-
-def test_tasks_have_names_resources_and_retries(
-    executor: RayExecutor, store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As a user of Ray expects them; a unit that ran out of memory is handed out once more with twice the memory."""
-    asked: list[dict[str, Any]] = []
-    options = RemoteFunction.options
-
-    def watched(function: RemoteFunction, **settings: Any) -> Any:
-        asked.append(settings)
-        return options(function, **settings)
-
-    executor.start()
-    monkeypatch.setattr(RemoteFunction, "options", watched)
-    units = [toys.unit(f"a/{n}", cost=90.0) for n in range(3)]
-    units.append(toys.unit("a/greedy", cost=90.0, trouble=f"memory-once:{tmp_path / 'once'}"))
-    report = run(toys.pipeline(), units, store, ref="demo", executor=executor)
-    assert report.exit_code == 0
-    assert {one["num_cpus"] for one in asked} == {1}
-    names = [one["name"] for one in asked]
-    assert {*(f"condvln:demo:a/{n}" for n in range(3)), "condvln:demo:a/greedy"} < {*names}
-    first, second, *_ = [one["memory"] for one in asked if one["name"] == "condvln:demo:a/greedy"]
-    assert second == 2 * first
-    assert all(one["max_retries"] == RETRIES for one in asked)
-    assert all(one["retry_exceptions"] == [TransientIOError] for one in asked)
 
 
 def test_a_store_that_is_busy_once_costs_a_retry(executor: RayExecutor, store: LocalStore) -> None:

@@ -102,16 +102,6 @@ def test_slices_and_values_under_nulls_are_not_hashed(rows: list[dict[str, Any]]
         assert logical_hash(one) == logical_hash(pa.Table.from_pylist(one.to_pylist(), schema=one.schema))
 
 
-def test_bytes_under_nulls_and_offsets_are_not_hashed() -> None:
-    values = pa.array([1, 2, 3, 4], pa.int64())
-    masked = pa.Array.from_buffers(pa.int64(), 4, [pa.py_buffer(b"\x05"), values.buffers()[1]])
-    assert masked.to_pylist() == [1, None, 3, None]
-    assert logical_hash(pa.table({"a": masked})) == logical_hash(pa.table({"a": pa.array([1, None, 3, None])}))
-    assert logical_hash(pa.table({"a": values.slice(1, 2)})) == logical_hash(pa.table({"a": [2, 3]}))
-    nan = np.array([0x7FF8000000000001], np.uint64).view(np.float64)
-    assert logical_hash(pa.table({"a": nan})) == logical_hash(pa.table({"a": [float("nan")]}))
-
-
 def test_rows_moved_between_columns_or_cells_hash_differently() -> None:
     tables = [
         pa.table({"a": ["xy", "z"]}),

@@ -259,19 +259,6 @@ def test_two_units_with_one_id_are_refused(store: LocalStore) -> None:
             plan(toys.pipeline(), [toys.unit("a/x"), toys.unit("a/y"), toys.unit(twice), toys.unit("a/z")], store)
 
 
-def test_one_worker_takes_the_smallest_units_first(store: LocalStore, tmp_path: Path) -> None:
-    """So that a unit which takes very long keeps no other from being committed."""
-    units = [toys.unit("a/big", cost=9.0), toys.unit("a/small", cost=0.1), toys.unit("a/middle", cost=1.0)]
-    done: list[str] = []
-
-    class Order(Progress):
-        def unit(self, receipt: Receipt) -> None:
-            done.append(receipt.unit_id)
-
-    run(toys.pipeline(), units, store, progress=Order())
-    assert done[-3:] == ["a/small", "a/middle", "a/big"]
-
-
 @pytest.mark.soak
 def test_the_driver_of_twelve_thousand_units_takes_less_than_a_gibibyte() -> None:
     """As many as the largest dataset has; in a process of its own, whose peak is the driver's."""

@@ -41,22 +41,6 @@ def test_duckdb_reads_the_tables_of_units_before_anything_is_published(unpublish
     }
 
 
-def test_each_table_is_a_parquet_file_that_the_commit_lists(unpublished: LocalStore) -> None:
-    seen = set()
-    for path in (unpublished.root / "units").rglob("unit.json"):
-        commit = json.loads(path.read_bytes())
-        files = {f"{name}.parquet" for name in commit["tables"]} | {*commit["files"], "unit.json"}
-        assert files == {file.name for file in path.parent.iterdir()}
-        for name, record in commit["tables"].items():
-            found = pq.ParquetFile(path.with_name(f"{name}.parquet"))
-            assert (found.metadata.num_rows, found.metadata.num_row_groups) == (record["rows"], 1)
-            assert {found.metadata.row_group(0).column(at).compression for at in range(found.metadata.num_columns)} == {
-                "ZSTD"
-            }
-            seen.add(name)
-    assert seen == {"numbers", "states", "squares", "scratch", "texts"}
-
-
 def test_the_same_unit_gives_the_same_bytes(store: LocalStore, tmp_path: Path) -> None:
     other = LocalStore(tmp_path / "other", durable=False)
     for one in (store, other):

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 import time
-from pathlib import Path
 
 import pytest
 import toys
 from faulty import FaultyStore
 
-from factory.report import Progress, RunLog
+from factory.report import Progress
 from factory.run import plan, run
 from factory.snapshot import Snapshot, read_ref
-from factory.status import drift, store_status
+from factory.status import store_status
 from factory.store import LocalStore, Store
 from factory.sweep import sweep
 from schemas.errors import CorruptShardError, StoreError
@@ -214,35 +212,6 @@ def test_the_manifest_tells_what_each_stage_cost(store: LocalStore) -> None:
     assert (stages["count"].rows, stages["square"].rows) == (rows + 9, rows + 8)
     assert stages["count"].seconds >= 0.01 * 8
     assert stages["count"].peak_rss > 10_000_000
-
-
-def test_drift_of_a_pinned_table_is_told(store: LocalStore) -> None:
-    run(toys.pipeline(), toys.units(5), store)
-    (same,) = drift(toys.pipeline(), store)
-    assert (same.differing, same.units, same.units_now) == (0, 5, 5)
-    run(toys.pipeline(), [*toys.units(5), toys.unit("a/more", 4)], store)
-    (other,) = drift(toys.pipeline(), store)
-    assert (other.rows, other.rows_now, other.differing, other.units, other.units_now) == (1, 1, 2, 5, 6)
-
-
-def test_the_log_has_a_line_for_each_unit(store: LocalStore, tmp_path: Path) -> None:
-    units = [*toys.units(8), toys.unit("a/bad", trouble="format")]
-    with RunLog(tmp_path / "logs" / "run.jsonl") as log:
-        run(toys.pipeline(), units, store, progress=log)
-    lines = [json.loads(line) for line in (tmp_path / "logs" / "run.jsonl").read_text().splitlines()]
-    last = {line["unit"]: line for line in lines if line["event"] == "unit"}
-    assert set(last) == {unit.unit_id for unit in units}
-    assert last["a/bad"]["status"] == "quarantined"
-    assert last["a/bad"]["failure"]["exception"] == "FormatError"
-    assert "$.rooms" in last["a/bad"]["failure"]["message"]
-    assert last["b/u00007"]["reason"] == "empty"
-    made = [stage["stage"] for line in lines if line["event"] == "unit" for stage in line["stages"] if stage["made"]]
-    assert {name: made.count(name) for name in made} == {"count": 8, "square": 7, "word": 7}
-    assert [line["name"].split(",")[0] for line in lines if line["event"] == "phase"] == [
-        "first pass",
-        "units",
-        "files",
-    ]
 
 
 def test_a_damaged_pinned_table_is_restored_from_the_snapshot(store: LocalStore) -> None:

@@ -21,7 +21,7 @@ from factory.commits import Commits
 from factory.executor import Executor, InlineExecutor
 from factory.ray_executor import RayExecutor
 from factory.receipt import Receipt
-from factory.report import Busy, Heartbeat, Progress
+from factory.report import Progress
 from factory.run import run
 from factory.store import LocalStore
 from schemas.errors import ClusterError, FormatError, StoreError
@@ -110,23 +110,6 @@ def test_a_store_that_fails_in_a_worker_ends_the_run(executor: RayExecutor, stor
     assert [*Commits(store).quarantined()] == []
     report = run(toys.pipeline(), toys.units(20), store, executor=executor)
     assert report.exit_code == 0
-
-
-def test_long_units_in_workers_are_mentioned(
-    executor: RayExecutor, store: LocalStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The driver names tasks that are not back after half a minute; here the limit is lower."""
-    found: list[Busy] = []
-
-    class Listener(Progress):
-        def busy(self, unit: Busy) -> None:
-            found.append(unit)
-
-    driver = sys.modules["factory.run"]
-    monkeypatch.setattr(driver, "Heartbeat", partial(Heartbeat, after=1.0, pause=0.2))
-    units = [*toys.units(3), toys.unit("a/slow", seconds=4.0, cost=90.0)]
-    assert run(toys.pipeline(), units, store, executor=executor, progress=Listener()).exit_code == 0
-    assert ("a/slow", "") in {(busy.unit_id, busy.stage) for busy in found}
 
 
 @pytest.mark.soak

@@ -17,7 +17,6 @@ from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import published
 from schemas.config import Config
-from schemas.errors import ConfigError
 
 BROKEN = "made_001"
 SOUND = ("made_000",)
@@ -154,23 +153,6 @@ def test_a_sound_scene_with_no_or_one_object_is_skipped(dataset: Path, configure
         assert (row["status"], words in row["reason"]) == ("skipped", True), row
 
 
-def test_a_missing_object_file_costs_that_object_its_extent(dataset: Path, configured: Callable[..., Config]) -> None:
-    spoiled = truncated_glb(dataset)
-    spoiled.unlink()
-    config = configured(dataset)
-    report = run_generate(config, inline=True)
-    assert report.exit_code == 0
-    (row,) = [r for r in published(config).table("scenes").to_pylist() if r["scene_id"] == BROKEN]
-    assert any(spoiled.stem in w["where"] + w["message"] for w in row["warnings"])
-
-
-def test_a_missing_lexicon_names_the_file(dataset: Path, configured: Callable[..., Config]) -> None:
-    (lexicon,) = (dataset / "configs" / "ssd").glob("*.json")
-    lexicon.unlink()
-    with pytest.raises(ConfigError, match=rf"{lexicon.name}: none of the {len(SOUND) + 1} scenes can be read"):
-        run_generate(configured(dataset), inline=True)
-
-
 def test_scenes_that_yield_nothing_export_nothing_and_say_so(
     dataset: Path, tmp_path: Path, configured: Callable[..., Config]
 ) -> None:
@@ -185,22 +167,6 @@ def test_scenes_that_yield_nothing_export_nothing_and_say_so(
         "no object: nothing to relate or to choose between"
     ] * 2
     assert not (tmp_path / "export").exists()
-
-
-def test_over_the_failure_budget_the_run_stops(dataset: Path, configured: Callable[..., Config]) -> None:
-    for path in (dataset / "configs" / "scenes").glob("*.json"):
-        path.write_text("{")
-    assert run_generate(configured(dataset), inline=True).exit_code == 4
-
-
-def test_a_link_to_itself_that_no_scene_needs_costs_nothing(
-    dataset: Path, configured: Callable[..., Config], made_run: tuple[Config, Report]
-) -> None:
-    for name in ("configs/lighting/made.lighting_config.json", "configs/lighting/another.json", "x"):
-        (dataset / name).unlink(missing_ok=True)
-        (dataset / name).symlink_to(Path(name).name)
-    report = run_generate(configured(dataset), inline=True)
-    assert (report.exit_code, report.document["counts"]["ok"]) == (0, len(SOUND) + 1)
 
 
 @pytest.mark.parametrize(

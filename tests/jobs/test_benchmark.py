@@ -19,7 +19,6 @@ import yaml
 from condvln.evaluation.split import split_tasks
 from condvln.export.splits import SPLITS, scene_group
 from condvln.samples import make_samples
-from condvln.sources.registry import open_source
 from condvln.sources.scene_source import SceneChoice
 from jobs.benchmark import (
     RECORD,
@@ -517,22 +516,6 @@ def test_only_final_versions_freeze_the_configuration(
     assert raised.value.what == f"not a benchmark file: {said}"
 
 
-def test_a_faulty_benchmark_file_is_one_line_that_names_the_key(dataset: Path, tmp_path: Path) -> None:
-    """It once printed three lines of the library that checks it, with an address in them."""
-    with pytest.raises(ConfigError) as raised:
-        Benchmark.read(edited(written(tmp_path / "file", dataset), floor=0))
-    assert raised.value.place == "floor"
-    assert raised.value.what == "not a benchmark file: Input should be greater than or equal to 1"
-    assert "\n" not in str(raised.value)
-
-
-def test_the_shipped_benchmark_says_whether_it_is_a_draft(pytestconfig: pytest.Config) -> None:
-    """That it names the stages' versions is a test beside the golden hashes, where versions are raised."""
-    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
-    assert benchmark.file.draft == benchmark.file.version.endswith("-draft")
-    assert benchmark.file.instructions == 11_500
-
-
 def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_split(
     pytestconfig: pytest.Config,
 ) -> None:
@@ -546,19 +529,6 @@ def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_spli
                 taken[file, scene_group("procthor", name, benchmark.config.splits)] += 1
     assert taken == {("train", "train"): 100, ("val", "val_unseen"): 30, ("test", "test"): 30}
     assert sum(taken.values()) == benchmark.file.scenes["procthor"]
-
-
-def test_whole_copies_are_counted_with_the_scenes_that_are_skipped(
-    pytestconfig: pytest.Config, real_data: Path
-) -> None:
-    """A report counts every scene that is listed. ReplicaCAD's empty stage once hid that another scene was missing."""
-    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
-    names = {f"apt_{k}" for k in range(6)} | {"empty_stage"}
-    names |= {f"v3_sc{layout}_staging_{k:02d}" for layout in range(4) for k in range(21)}
-    listed = set(open_source("replicacad", real_data / "replicacad").scene_ids())
-    assert listed <= names
-    assert "empty_stage" in listed
-    assert benchmark.file.scenes["replicacad"] == len(names)
 
 
 @pytest.mark.ray

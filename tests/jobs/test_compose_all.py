@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
-import re
 import shutil
-import weakref
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +13,20 @@ import trimesh
 from typer.testing import CliRunner
 
 from condvln.export.vlnce import scene_file
-from condvln.samples import make_layouts, make_samples, write_replicacad
-from condvln.sources.family import FAMILIES
-from jobs import compose as module
+from condvln.samples import make_layouts, make_samples
 from jobs.command import app
 from jobs.compose import compose_all
 from schemas.config import Config, InstructionsConfig, SourceConfig
 from schemas.errors import FormatError, PathEscapeError, UsageError
+from tests.condvln.voxelised import voxelise
 
 SEED = 3
 
 
 def source_of(form: str, folder: Path, scenes: int) -> SourceConfig:
+    report = make_samples(folder, form, scenes, SEED)
     if form == "replicacad":
-        report = write_replicacad(folder, make_layouts(scenes, SEED), navmesh="recast")
-    else:
-        report = make_samples(folder, form, scenes, SEED)
+        voxelise(folder, make_layouts(scenes, SEED))
     return SourceConfig(family=report.family, **report.parts)  # type: ignore[arg-type]
 
 
@@ -189,41 +185,6 @@ def test_the_place_of_a_scan_is_told_as_its_episodes_name_it(tmp_path: Path) -> 
     for word, value in (("<split>", "val"), ("<number>", "00800"), ("<scan>", "TEEsavR23oF")):
         pattern = pattern.replace(word, value)
     assert pattern == scene_file("hm3d", "val/00800-TEEsavR23oF")
-
-
-@pytest.mark.parametrize("family", sorted(name for name, family in FAMILIES.items() if not family.composed))
-def test_every_scan_is_told_at_the_place_that_its_id_gives(family: str) -> None:
-    """What stands for the id is split by the same rule as an id, so no part of it is taken for another."""
-    told = scene_file(family, FAMILIES[family].scene_form)
-    names = re.findall(r"<(\w+)>", FAMILIES[family].scene_form)
-    spelled = FAMILIES[family].scene_form
-    for name in names:
-        spelled = spelled.replace(f"<{name}>", f"a{name}")
-        told = told.replace(f"<{name}>", f"a{name}")
-    assert told == scene_file(family, spelled)
-
-
-def test_one_scene_is_in_memory(houses: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where scenes fail: an error that was kept would keep its scene."""
-    alive: list[weakref.ref[Any]] = []
-    real, refuse = module.compose_scene, module.write_changed
-
-    def watched(scene: Any, geometry: Any, agent: Any) -> Any:
-        assert [one for one in alive if one() is not None] == []
-        composed = real(scene, geometry, agent)
-        alive.extend((weakref.ref(geometry), weakref.ref(composed)))
-        return composed
-
-    def failing(path: Path, data: bytes) -> bool:
-        if path.name == "houses-1.glb":
-            raise FormatError("made to fail", where=path)
-        return refuse(path, data)
-
-    monkeypatch.setattr(module, "compose_scene", watched)
-    monkeypatch.setattr(module, "write_changed", failing)
-    report = compose_all(houses, tmp_path)
-    assert len(alive) == 6
-    assert [one["scene"] for one in report.document["failed"]] == ["procthor/houses-1"]
 
 
 def test_the_command_takes_one_scene_or_all(houses: Config, tmp_path: Path) -> None:

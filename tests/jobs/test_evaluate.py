@@ -17,7 +17,7 @@ import yaml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from condvln.evaluation.agents import AGENTS, walk_to_leaf
+from condvln.evaluation.agents import walk_to_leaf
 from condvln.evaluation.evaluate import evaluate as evaluate_tasks
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.split import SplitOptions, open_export, split_tasks
@@ -136,34 +136,6 @@ def test_original_against_the_oracle_twin(evaluate: Any, agents: dict[str, Path]
     assert short.exit_code != 0
 
 
-def test_others_results_stand_beside_predictions(
-    evaluate: Any, export: Path, split: str, agents: dict[str, Path], tmp_path: Path
-) -> None:
-    tasks = split_tasks(export, split)
-    theirs = tmp_path / "theirs"
-    theirs.mkdir()
-    for task in tasks[1:]:
-        stats = {"success": 1.0, "spl": 0.5, "distance_to_goal": float("inf")}
-        (theirs / f"stats_{task.episode_id}.json").write_text(json.dumps(stats))
-    together = tmp_path / "open_nav.json"
-    together.write_text(json.dumps({task.episode_id: {"success": 0.0, "spl": 0.0} for task in tasks}))
-    tables = documents(evaluate, theirs, together, agents["oracle"])
-    main = {row["agent"]: row for row in tables["main"]["rows"]}
-    assert main["theirs"]["success"]["mean"] == pytest.approx((len(tasks) - 1) / len(tasks))
-    assert main["open_nav"]["success"]["mean"] == 0
-    assert main["oracle"]["success"]["mean"] == 1
-    assert main["theirs"]["navigation_error"]["n"] == 0  # infinite is undefined, never 0
-    branches = {row["agent"]: row for row in tables["branches"]["rows"]}
-    assert branches["theirs"]["missing"]["mean"] == pytest.approx(1 / len(tasks))
-    assert branches["theirs"]["leaf_correct"]["n"] == 0
-    # Their files have no BSA: that is undefined beside an agent that has it, neither 0 nor 100.
-    for name in ("bsa", "csr", "bsa_all", "csr_all"):
-        assert main["theirs"][name]["n"] == main["open_nav"][name]["n"] == 0, name
-        assert main["theirs"][name]["mean"] is None, name
-    assert main["oracle"]["bsa_all"]["mean"] == 1
-    assert {name.rsplit("_", 1)[1] for name in tables if name.startswith("leaves_")} == {"oracle"}
-
-
 @pytest.mark.parametrize("kept", [0, 3])
 def test_missing_predictions_are_counted_aloud(
     evaluate: Any, export: Path, split: str, agents: dict[str, Path], tmp_path: Path, kept: int
@@ -204,14 +176,10 @@ def broken(whole: dict[str, Any], kind: str) -> dict[str, Any]:
             poses.insert(1, {**poses[0], "position": [99_999.0, 0.0, 0.0]})
         elif kind == "above the floor":
             poses.insert(1, {**poses[0], "position": np.add(poses[0]["position"], [0, 0.6, 0]).tolist()})
-        elif kind == "every fourth":
-            poses[:] = [*poses[:-1:4], poses[-1]]
-        elif kind == "inside a wall":
-            poses.insert(1, {**poses[0], "position": np.add(poses[0]["position"], [0, -0.55, 0]).tolist()})
     return changed
 
 
-@pytest.mark.parametrize("kind", ["two poses", "far away", "above the floor", "every fourth", "inside a wall"])
+@pytest.mark.parametrize("kind", ["two poses", "far away", "above the floor"])
 def test_walks_that_no_agent_can_have_made_are_named_and_refused_by_strict(
     evaluate: Any, agents: dict[str, Path], tmp_path: Path, kind: str
 ) -> None:
@@ -221,7 +189,7 @@ def test_walks_that_no_agent_can_have_made_are_named_and_refused_by_strict(
     names = list(whole)[:2]
     document = json.loads(evaluate(path, agents["oracle"], "--json").stdout)
     first, second = document["predictions"]
-    off = kind in ("far away", "above the floor", "inside a wall")
+    off = kind != "two poses"
     assert first["gap_ids"] == names
     assert first["gaps"] >= 2
     assert (first["off_navmesh"], first["off_navmesh_ids"]) == ((2, names) if off else (0, []))
@@ -332,15 +300,6 @@ def test_ones_own_agent_walks_and_sees(
         assert runner.invoke(app, [*words, name]).exit_code != 0
 
 
-def test_help_names_every_agent(export: Path, split: str, made_dataset: Path, tmp_path: Path) -> None:
-    told = "".join(runner.invoke(app, ["walk", "--help"]).output.split())  # lines break anywhere
-    assert ",".join(AGENTS) in told
-    assert ";looker," in told
-    words = ["walk", str(export), split, "--agent", "nobody", "--out", str(tmp_path / "out.json")]
-    result = runner.invoke(app, [*words, "--data", str(made_dataset)])
-    assert ", ".join([*AGENTS, "looker"]) in str(result.exception)
-
-
 def chunks(page: Path) -> dict[str, Any]:
     return dict(chunk_content(path.read_bytes()) for path in sorted((page / "data").glob("*.js")))
 
@@ -416,22 +375,6 @@ def test_the_page_has_the_oracle_twin(evaluate: Any, agents: dict[str, Path], tm
         rate = sum(outcome == found["index"]["outcomes"].index("success") for outcome in own) / len(own)
         label = agent["name"] if agent["name"].endswith(")") else f"{agent['name']} (conditions)"
         assert rate == pytest.approx(wanted[label])
-
-
-def test_a_folder_without_manifests_has_no_page(tmp_path: Path, agents: dict[str, Path]) -> None:
-    words = ["evaluate", str(tmp_path), "val", str(agents["oracle"]), "--html", str(tmp_path / "page")]
-    result = runner.invoke(app, words)
-    assert isinstance(result.exception, UsageError) or result.exit_code == 1
-    assert not (tmp_path / "page").exists()
-
-
-def test_plots_are_pictures(evaluate: Any, agents: dict[str, Path], tmp_path: Path) -> None:
-    result = evaluate(*agents.values(), "--plots", tmp_path / "plots")
-    assert result.exit_code == 0, result.output
-    heads = {path.name: path.read_bytes()[:4] for path in (tmp_path / "plots").iterdir()}
-    assert heads == {
-        "depth.png": b"\x89PNG", "depth.pdf": b"%PDF", "chain.png": b"\x89PNG", "chain.pdf": b"%PDF",
-    }  # fmt: skip
 
 
 def test_osr_and_ndtw_as_stock_vlnce_has_them(evaluate: Any, agents: dict[str, Path]) -> None:

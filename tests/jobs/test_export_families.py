@@ -6,13 +6,18 @@ import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from condvln.evaluation.split import split_tasks
 from condvln.export.splits import SPLITS
 from condvln.formats.streams import read_unpacked
+from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.samples import FAMILIES
+from jobs.generate import run_generate
 from jobs.oracle import oracle_split
 from jobs.validate import validate_files
-from tests.condvln.evaluation.test_ladder import check_ladder, made_export, made_tasks
+from tests.condvln.evaluation.test_ladder import check_ladder
+from tests.jobs.conftest import made_config
 from tests.jobs.test_oracle import differences
 from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split
 
@@ -24,14 +29,17 @@ PER_CATEGORY = 10
 
 @pytest.fixture(scope="module", params=sorted(FAMILIES))
 def family(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with ``scenes`` and ``export`` of one family."""
+    """Folder with ``data`` and ``export`` of one family."""
     folder = tmp_path_factory.mktemp(request.param)
-    made_export(request.param, folder, SCENES, PER_CATEGORY)
+    config = made_config(folder, request.param, SCENES, seed=5, episodes=PER_CATEGORY)
+    report = run_generate(config, inline=True, console=Console(quiet=True))
+    assert report.document["counts"]["quarantined"] == 0, report.document["quarantined"]
+    assert (folder / "export" / "export.json").exists(), report.lines
     return folder
 
 
 def test_its_export_is_clean_and_stands_on_its_navmeshes(family: Path) -> None:
-    report = validate_files(family / "export", (family / "scenes",), (family / "scenes" / "connectivity",))
+    report = validate_files(family / "export", (family / "data",), (family / "data" / "connectivity",))
     assert {finding.code for finding in report.findings} <= {"no-episodes"}  # few scenes do not fill every split
     assert report.navmeshes.checked
     assert report.navmeshes.lacking == {}
@@ -64,6 +72,6 @@ def test_its_twin_differs_in_the_instruction_alone(family: Path, tmp_path: Path)
 
 
 def test_its_ladder_orders_itself(family: Path) -> None:
-    tasks, navmeshes = made_tasks(family)
+    tasks = [task for split in SPLITS for task in split_tasks(family / "export", split)]
     assert len(tasks) >= 40
-    check_ladder(tasks, navmeshes)
+    check_ladder(tasks, NavmeshFolder((family / "export", family / "data")))

@@ -18,7 +18,7 @@ from jobs.export_origin import LOST_NAVMESH, Origin, SceneOrigin, refuse_losses
 from jobs.generate import run_generate
 from jobs.rebuild import run_rebuild
 from jobs.report import Report
-from schemas.config import Config, InstructionsConfig, SplitsConfig
+from schemas.config import Config, SplitsConfig
 from schemas.errors import SmallerExportError
 
 REF = "/store/refs/made.json"
@@ -231,19 +231,6 @@ def test_a_refused_export_ends_a_run_with_3_every_time(
             assert any(line.startswith("REFUSED: ") for line in report.lines)
             assert files(tmp_path / "out") == before
     assert run_rebuild(config, inline=True, if_changed=True).exit_code == 3
-
-
-def test_fewer_asked_for_is_a_reason(
-    made_run: tuple[Config, Report], made_dataset: Path, tmp_path: Path, configured: Callable[..., Config]
-) -> None:
-    shutil.copytree(made_run[0].store, tmp_path / "store")
-    config = configured(made_dataset, export=tmp_path / "out", splits=SplitsConfig(bias="off"))
-    export_snapshot_of(config)
-    fewer = config.model_copy(update={"instructions": InstructionsConfig(per_category={"simple": 2})})
-    report = run_generate(fewer, inline=True)
-    assert report.exit_code == 0
-    (line,) = report.document["export"]["smaller"]
-    assert "the configuration changed (instructions.per_category.nested)" in line
 
 
 def test_empty_splits_are_said_with_their_reason(made_run: tuple[Config, Report], tmp_path: Path) -> None:

@@ -37,18 +37,6 @@ def test_a_leak_gives_exit_code_3_and_names_the_guesser(tmp_path: Path) -> None:
     assert report.as_json()["passed"] is False
 
 
-def test_a_file_without_conditions_has_no_branch_to_guess(tmp_path: Path) -> None:
-    report = report_bias([written(tmp_path / "plain.json", "Walk to the {}.", [False] * 40)])
-    assert report.exit_code == 0
-    assert report.lines == ["no text has a condition: there is no branch to guess"]
-
-
-def test_few_decided_texts_are_not_tested(tmp_path: Path) -> None:
-    report = report_bias([written(tmp_path / "few.json", STAY, [True, False] * 5)])
-    assert report.exit_code == 0
-    assert "fewer than 30" in report.lines[0]
-
-
 def test_a_folder_is_judged_alone(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="together with other files"):
         report_bias([tmp_path, written(tmp_path / "few.json", STAY, [True])])

@@ -219,30 +219,3 @@ def test_a_cell_bounded_in_metres_and_words_holds_nothing_else(celled: Config) -
         assert 55 <= len(row["instruction_text"].split()) == row["words"] <= 95
     assert bounded.rejected["route_missed"] > 0 < bounded.undrawn["words_missed"]
     assert bounded.candidates == bounded.placed + bounded.rejected.total()
-
-
-def test_counterfactual_groups_are_published_whole(celled: Config) -> None:
-    rows = [json.loads(line) for p in Path(celled.export).glob("manifest/*.jsonl") for line in p.open()]
-    groups: dict[str, list] = {}
-    for row in rows:
-        if row["group_id"] is not None:
-            groups.setdefault(row["group_id"], []).append(row)
-    assert groups
-    for members in groups.values():
-        assert len(members) == 4
-        for name in ("scene_id", "split", "category", "start_position", "start_rotation", "max_steps"):
-            assert len({str(member[name]) for member in members}) == 1
-        golds = Counter(
-            member["program"]["leaves"][member["gold_leaf"]]["moves"][-1]["object_id"] for member in members
-        )
-        assert sorted(golds.values()) == [2, 2], "no object is right in more than half"
-    published_groups = {
-        (row["episode_id"], row["group_id"])
-        for row in published(celled).table("episodes").to_pylist()
-        if row["group_id"]
-    }
-    assert {(m["episode_id"], m["group_id"]) for g in groups.values() for m in g} <= published_groups
-    instructions = {
-        row["instruction_id"]: row["group_id"] for row in published(celled).table("instructions").to_pylist()
-    }
-    assert all(instructions[m["instruction_id"]] == name for name, g in groups.items() for m in g)

@@ -21,7 +21,6 @@ from condvln.sources.registry import open_source
 from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.viewpoint_paths import ProvenScan, ViewpointMap
 from jobs.export import export_snapshot_of
-from jobs.validate import validate_files
 from jobs.verify import verify_export
 from schemas.config import Config
 from schemas.evaluation import ManifestEpisode
@@ -377,12 +376,6 @@ def test_a_record_or_a_folder_that_is_lost_is_noticed(alone: Config, folder: Pat
     assert "is missing or truncated" in faults(alone, folder)
 
 
-def test_without_the_store_it_says_that_texts_are_left_out(alone: Config, folder: Path) -> None:
-    report = verify_export(alone, folder, without_store=True)
-    assert "texts" not in report.document
-    assert "texts without an episode" in report.lines[0]
-
-
 def test_certificates_of_paths_alone_are_kept_where_the_files_stay_the_same(alone: Config, folder: Path) -> None:
     config = alone.model_copy(update={"export": folder})
     assert verify_export(config, folder).exit_code == 0
@@ -392,9 +385,3 @@ def test_certificates_of_paths_alone_are_kept_where_the_files_stay_the_same(alon
     index.write_text(index.read_text().replace('"viewpoints/R2R_test.json": "', '"viewpoints/R2R_test.json": "0'))
     export_snapshot_of(config)
     assert not (folder / "certificates/paths.jsonl").exists()
-
-
-def test_the_linter_says_what_it_did_not_check(folder: Path) -> None:
-    said = validate_files(folder).as_text()
-    assert "not checked: geometry" in said
-    assert "texts without an episode" in said

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from factory.executor import InlineExecutor
 from factory.ray_executor import RayExecutor
-from factory.receipt import Receipt, StageReceipt
-from factory.report import Busy, Progress, RunReport
+from factory.report import Progress, RunReport
 from factory.store import LocalStore
 from jobs.executor import SMALL_SECONDS, open_executor, place_of_work
-from jobs.progress import LOGS, LoggedRun, RunProgress, readable
+from jobs.progress import LOGS, LoggedRun
 from schemas.config import RayConfig
 from schemas.errors import StoreError
 
@@ -72,35 +69,6 @@ def test_a_store_that_takes_no_log_costs_the_run_nothing(tmp_path: Path, monkeyp
         log.keep(RunReport(record="runs/x.json"))
     assert "no space left" in told.notes[0]
     assert len([*(tmp_path / "state" / LOGS).iterdir()]) == 1
-
-
-def done(unit_id: str, expected: float, took: float) -> Receipt:
-    key = b"k" * 16
-    stage = StageReceipt("count", key, key, key, key, key, took, 10, True, False, ())
-    return Receipt(unit_id, "a", "ok", "", key, (stage,), expected=expected)
-
-
-def test_durations_are_readable() -> None:
-    said = [readable(s) for s in (0.4, 89.4, 90, 3000, 5400, 12_000)]
-    assert said == ["0 s", "89 s", "2 min", "50 min", "1 h 30 min", "3 h 20 min"]
-
-
-def test_a_log_says_what_is_left_and_which_unit_takes_long() -> None:
-    text = io.StringIO()
-    with RunProgress(Console(file=text, width=200)) as progress:
-        progress.phase("units", 4, 400.0, workers=2)
-        progress.unit(done("a/1", 100.0, 100.0))
-        progress.busy(Busy("a/2", "count", 31.0))
-        progress.unit(done("a/2", 100.0, 300.0))
-        for name in ("a/3", "a/4"):
-            progress.unit(done(name, 100.0, 200.0))
-    said = text.getvalue().splitlines()
-    assert said[0] == "units: 4 to do, about 400 CPU s, shared by 2 workers: 3 min on an idle machine"
-    # As the model says, for two workers; then twice as slow, since the second unit took three times what was expected.
-    assert said[1] == "units: 1/4 a/1 (about 2 min left)"
-    assert said[2] == "a/2: at stage count for 31 s"
-    assert said[3] == "units: 2/4 a/2 (about 3 min left)"
-    assert said[-1] == "units: 4/4 a/4"
 
 
 @pytest.mark.parametrize(

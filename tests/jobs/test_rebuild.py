@@ -230,14 +230,6 @@ def test_priors_are_renewed_when_asked(corpus: Config) -> None:
     assert json.loads(pin.read_text())["tables"]["priors"]["units"] == 1
 
 
-def test_a_damaged_published_file_is_mended_when_asked(corpus: Config) -> None:
-    path = corpus.store / Snapshot.open(open_store(corpus), "made").paths("objects")[0]
-    good = path.read_bytes()
-    path.write_bytes(good[:50] + b"?" + good[51:])
-    assert rebuild(corpus, verify=True).exit_code == 0
-    assert path.read_bytes() == good
-
-
 def test_of_two_on_one_machine_the_second_leaves_it_to_the_first(corpus: Config) -> None:
     change(corpus)
     ref = (folder_of(corpus) / "refs" / "made.json").read_bytes()

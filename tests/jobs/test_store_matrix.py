@@ -101,8 +101,3 @@ def test_damage_is_healed_or_told(built: Built, kind: str, damage: str, verb: st
         outcomes[kind, "healed"] += 1
     assert built.rows() == rows
     assert built.exported() == exported
-
-
-def test_the_matrix_is_whole() -> None:
-    assert len(CASES) == len(KINDS) * len(DAMAGES) * len(VERBS) >= 300
-    assert sum(not case.marks for case in CASES) >= 40

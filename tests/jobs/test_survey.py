@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from condvln.samples import FAMILIES, make_samples
-from condvln.sources.family import downloads, look_for
-from condvln.sources.registry import READERS, open_source
+from condvln.sources.family import look_for
+from condvln.sources.registry import open_source
 from jobs.sources import scene_yield, survey, survey_source
 from schemas.config import AgentConfig, Config, SourceConfig
 from schemas.errors import ConfigError
@@ -21,14 +21,6 @@ NO_MESH = {"procthor", "ithor", "robothor"}
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
     root = tmp_path_factory.mktemp(request.param)
     return request.param, root, make_samples(root, family=request.param, scenes=2, seed=1)
-
-
-def test_every_family_has_its_downloads() -> None:
-    for family in READERS:
-        kinds = downloads(family)
-        assert kinds
-        assert kinds[0].need == "required"
-        assert all(kind.patterns and kind.source and kind.licence and kind.holds for kind in kinds)
 
 
 def test_counts_are_those_of_what_was_written(made) -> None:
@@ -57,11 +49,6 @@ def test_whole_samples_miss_nothing_required(made) -> None:
     ] == []
 
 
-def test_a_folder_of_nothing_misses_everything(tmp_path: Path) -> None:
-    for family in READERS:
-        assert all(kind.files == 0 for kind in look_for(family, tmp_path))
-
-
 def test_a_limit_spreads_over_the_list(tmp_path: Path) -> None:
     make_samples(tmp_path, family="procthor", scenes=6, seed=1)
     source = open_source("procthor", tmp_path)
@@ -80,19 +67,6 @@ def test_a_broken_scene_is_told_and_the_others_are_read(tmp_path: Path) -> None:
     survey = survey_source(source, source.handles(), AgentConfig())
     assert [scene for scene, _ in survey.unreadable] == [paths[1].stem]
     assert survey.read == len(paths) - 1
-
-
-def test_real_datasets(real_data: Path) -> None:
-    found = {}
-    for family in ("procthor", "ithor", "mp3d", "gibson"):
-        source = open_source(family, real_data / family)
-        found[family] = survey_source(source, source.handles(), AgentConfig())
-    assert (found["procthor"].scenes, found["procthor"].rooms, found["procthor"].without_extent) == (60, 296, 0)
-    assert found["procthor"].navmeshes == {"to be built": 60}
-    assert (found["ithor"].scenes, found["ithor"].navmeshes) == (7, {"to be built": 7})
-    assert [scene for scene, _ in found["mp3d"].unreadable] == ["gZ6f7yhEvPG"]
-    assert found["gibson"].navmeshes == {"none": 13, "shipped, fits": 1}
-    assert len(found["gibson"].skipped) == 13
 
 
 def test_what_scenes_will_yield_is_said_before_the_run(tmp_path: Path) -> None:

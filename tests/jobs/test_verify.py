@@ -57,6 +57,14 @@ def test_a_whole_export_is_proven(made: Config, folder: Path) -> None:
     assert faults(made, folder) == []
 
 
+def test_an_empty_export_is_no_success(made: Config, folder: Path) -> None:
+    for path in [*folder.glob("manifest/*.jsonl")]:
+        path.write_bytes(b"")
+    found = faults(made, folder)
+    assert found[-1] == "manifest: the export holds no episodes, so nothing is proven"
+    assert any(f"manifest/{largest(folder)}.jsonl: has 0 bytes" in fault for fault in found)
+
+
 def test_a_scene_that_nobody_proves_is_no_success(made: Config, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fault of ours, not of the export: whatever is proven then, it is not all."""
     whole = verify_export(made, folder).document
@@ -73,14 +81,6 @@ def test_a_scene_that_nobody_proves_is_no_success(made: Config, folder: Path, mo
     missing = whole["episodes"] - report.document["episodes"]
     told = [re.search(r"(\d+) got no certificate", fault["what"]) for fault in report.document["faults"]]
     assert sum(int(one[1]) for one in told if one) == missing
-
-
-def test_an_empty_export_is_no_success(made: Config, folder: Path) -> None:
-    for path in [*folder.glob("manifest/*.jsonl")]:
-        path.write_bytes(b"")
-    found = faults(made, folder)
-    assert found[-1] == "manifest: the export holds no episodes, so nothing is proven"
-    assert any(f"manifest/{largest(folder)}.jsonl: has 0 bytes" in fault for fault in found)
 
 
 def test_nothing_of_nothing_is_no_success(made: Config, folder: Path) -> None:
@@ -107,27 +107,6 @@ def test_an_export_of_another_snapshot_is_named(made: Config, folder: Path) -> N
     (folder / INDEX).write_text(json.dumps(index))
     found = faults(made, folder)
     assert any("export.json: the export is of snapshot ffff" in fault for fault in found)
-
-
-def test_what_is_missing_is_named_and_the_rest_is_proven(made: Config, folder: Path) -> None:
-    split = largest(folder)
-    shutil.rmtree(folder / "ansr")
-    path = folder / "manifest" / f"{split}.jsonl"
-    rows = path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join(rows[1:]))
-    found = faults(made, folder)
-    assert any(fault.startswith(f"ansr/{split}/{split}.json.gz: can't be read: No such file") for fault in found)
-    assert any(fault.startswith(f"manifest/{split}.jsonl: has") for fault in found)
-    assert f"manifest/{split}.jsonl: holds {len(rows) - 1} episodes, export.json says {len(rows)}" in found
-
-
-def test_a_cut_file_is_one_fault_more_and_no_traceback(made: Config, folder: Path) -> None:
-    split = largest(folder)
-    path = folder / "vlnce" / split / f"{split}.json.gz"
-    path.write_bytes(path.read_bytes()[:-20])
-    found = faults(made, folder)
-    assert any(fault.startswith(f"vlnce/{split}/{split}.json.gz: has") for fault in found)
-    assert found[-1].startswith(f"vlnce/{split}/{split}.json.gz: the gzip file ends early")
 
 
 def test_a_snapshot_that_is_damaged_or_gone_is_named(made: Config, folder: Path, tmp_path: Path) -> None:
@@ -227,9 +206,7 @@ SPECIAL = [fifo, unix_socket, endless, own_target]
         ("export.json", fifo),
         ("origin.json", unix_socket),
         ("manifest/{}.jsonl", endless),
-        ("manifest/{}.jsonl", fifo),
         ("vlnce/{0}/{0}.json.gz", own_target),
-        ("vlnce/{0}/{0}.json.gz", endless),
         ("ansr/{0}/{0}.json.gz", fifo),
     ],
 )

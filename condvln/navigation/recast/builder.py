@@ -181,7 +181,7 @@ def build_stages(
     report: Notify | None = None,
 ) -> BuildStages:
     """Build a navmesh and keep the results of every stage. Parameters and errors are those of ``build_navmesh``."""
-    begin = report or _silent
+    begin = report or (lambda _: None)
     begin("checking triangles")
     points, corners = checked_triangles(vertices, faces)
     config = RecastConfig.of(points, settings, memory_limit)
@@ -222,10 +222,6 @@ def _filter(
         strict = profile is RecastProfile.HABITAT_0_3_3
         third = filter_low_height(replace(solid, area=second), config.walkable_height, strict)
     return first, second, third
-
-
-def _silent(_: str) -> None:
-    pass
 
 
 def build_navmesh(

@@ -21,7 +21,7 @@ def caught(rows: list[dict[str, Any]]) -> set[str]:
     return {finding.guesser for finding in judge(rows).beaten}
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_fair_rows_pass(made_rows, seed: int) -> None:
     report = judge(made_rows(seed, categories=("simple", "chain", "nested_chain")))
     assert report.passed, report.verdict()
@@ -173,7 +173,7 @@ def test_a_leak_of_one_predicate_is_found_in_its_own_part(made_rows) -> None:
     assert not any(f.beats_chance for f in judge([r for r in rows if r not in holding]).findings)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_fair_rows_pass_for_each_predicate(made_rows, seed: int) -> None:
     report = judge(made_rows(seed, leak=asking))
     assert report.passed, report.verdict()

@@ -21,7 +21,7 @@ T = Thresholds(sector_within=20.0)
 LABELS = (
     "sofa", "bed", "table", "chair", "lamp", "sink", "refrigerator", "plant", "desk", "television", "cabinet", "rug",
 )  # fmt: skip
-SCENES = 150
+SCENES = 90
 MOVED = 0.15
 """Chance of a thing to stand elsewhere than usual."""
 SIDE = 8.0

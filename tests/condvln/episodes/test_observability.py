@@ -237,15 +237,6 @@ def test_each_is_judged_as_if_alone() -> None:
     assert {o.observability for o in together} == {"O0", "O1", "O2"}
 
 
-def test_what_ways_have_in_common() -> None:
-    fork = common_prefix([np.array([[0, 0, 0], [2, 0, 0], [2, 0, 3.0]]), np.array([[0, 0, 0], [2, 0, 0], [5, 0, 0.0]])])
-    # At a right angle they are a step apart PREFIX_STRAY / √2 beyond the fork.
-    np.testing.assert_allclose(fork[:2], [[0, 0, 0], [2, 0, 0]])
-    assert 0 < fork[-1, 2] <= PREFIX_STRAY / math.sqrt(2) < fork[-1, 2] + 0.06
-    same = np.array([[0, 0, 0], [2, 0, 0], [2, 0, 3.0]])
-    np.testing.assert_allclose(common_prefix([same, same, same]), same)
-
-
 corner = st.tuples(st.floats(-5, 5), st.floats(-5, 5))
 
 

@@ -26,7 +26,7 @@ from condvln.episodes.view import SceneView
 from condvln.instructions.degeneracy import outcomes
 from condvln.instructions.programs import with_leads
 from condvln.navigation.pathfinder import Pathfinder
-from condvln.scene import Scene, round_mm
+from condvln.scene import Scene
 from condvln.seeding import Draws, generator
 from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig, TextConfig
 from schemas.program import SHAPES, Category, Condition, Leaf, ObjectRef, Program, RoomRef
@@ -112,43 +112,6 @@ def test_every_cell_gets_what_it_asks_for(flat) -> None:
     first_view = [e for e in pool.episodes if e.candidate.cell.observability == "O0f"]
     assert {e.observation.observability for e in first_view} == {"O0"}
     assert pool.rejections[cells[2], "observability_missed"]
-
-
-def as_points(rows: list[dict[str, float]]) -> list[list[float]]:
-    return [[row["x"], row["y"], row["z"]] for row in rows]
-
-
-def test_a_cell_bounds_the_routes_to_all_leaves(flat) -> None:
-    bounds = ((2.0, 4.5), (4.0, 6.0), (5.5, 12.0), (40.0, 50.0))
-    cells = tuple(simple(route=route, count=4) for route in bounds)
-    pool = filled(flat, drawn(*cells), cells)
-    for cell in cells[:3]:
-        least, most = cell.route
-        lengths = [leaf.route.length for e in pool.episodes if e.candidate.cell == cell for leaf in e.placement.leaves]
-        assert lengths
-        assert least <= min(lengths) <= max(lengths) <= most
-    assert pool.placed[cells[3]] == 0
-    reasons = {reason for (cell, reason) in pool.rejections if cell == cells[3]}
-    assert reasons == {"route_missed", "program_placed"}, "no way is so long"
-    rows = placements_table(flat[0], pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
-    for row, episode in zip(rows, pool.episodes, strict=True):
-        least, most = episode.candidate.cell.route
-        assert all(least <= leaf["route_length"] <= most for leaf in row["leaves"])
-        gold = episode.placement.leaves[row["gold_leaf"]]
-        assert row["actions"] == gold.walk.actions.tolist()
-        assert as_points(row["locations"]) == round_mm(gold.walk.locations).tolist()
-        assert row["evidence"] == [e.model_dump() for e in episode.observation.evidence]
-        for k, (leaf, placed) in enumerate(zip(row["leaves"], episode.placement.leaves, strict=True)):
-            stops = [*leaf["subgoals"], {"object_id": leaf["object_id"], "position": leaf["reference_path"][-1]}]
-            assert (leaf["leaf"], tuple(stop["object_id"] for stop in stops)) == (k, placed.objects)
-            assert as_points([stop["position"] for stop in stops[:-1]]) == placed.route.stops[:-1].tolist()
-            assert as_points(leaf["goals"]) == placed.goals.tolist()
-            assert as_points(leaf["reference_path"]) == placed.route.path.tolist()
-            assert (leaf["geodesic_distance"], leaf["route_length"]) == (placed.geodesic_distance, placed.route.length)
-        assert least <= row["route_length"] <= most
-    for row, cell in zip(funnel_table("flat", cells, pool).to_pylist(), cells, strict=True):
-        assert row["cell"] == cell.name
-        assert row["candidates"] == row["rejected"] + row["placed"]
 
 
 def test_bounds_of_a_route_may_be_met_and_those_beyond_every_route_change_nothing(flat) -> None:

@@ -27,18 +27,6 @@ def tools(made: tuple[Export, Path]) -> type[EpisodeTools]:
     return tools_for(made[0], "train", {"replicacad": made[1]})
 
 
-def test_transformers_reads_the_tools_as_trl_does(tools: type[EpisodeTools]) -> None:
-    chat = pytest.importorskip("transformers.utils.chat_template_utils", reason=f"transformers is absent: {HOW}")
-    found = {
-        name: chat.get_json_schema(getattr(tools(), name))["function"] for name in ("forward", "turn", "look", "stop")
-    }
-    assert found["turn"]["parameters"]["properties"]["degrees"]["type"] == "integer"
-    assert found["turn"]["parameters"]["required"] == ["degrees"]
-    assert "required" not in found["forward"]["parameters"]
-    assert found["look"]["parameters"]["properties"] == {}
-    assert all(described["description"] for described in found.values())
-
-
 def calls_of(export: Export, task: Task) -> list[tuple[str, dict[str, int]]]:
     """The oracle's walk as calls of tools."""
     headings = agent_named("oracle")(task, export.pathfinder(task), 0).headings

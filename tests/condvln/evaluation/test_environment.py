@@ -7,13 +7,12 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 from condvln.evaluation.agents import agent_named
-from condvln.evaluation.environment import ENVIRONMENT_ID, NavigationEnv, SceneViews
+from condvln.evaluation.environment import NavigationEnv
 from condvln.evaluation.predictions import Prediction, read_predictions, write_predictions
 from condvln.evaluation.score import score
 from condvln.evaluation.split import Export
@@ -56,20 +55,6 @@ def test_gymnasium_s_checker_passes(made: tuple[Export, Path]) -> None:
         warnings.filterwarnings("ignore", message=".*(gps|compass|Box).*")
         warnings.filterwarnings("ignore", message=".*not within.*registry.*|.*spec.*|.*passed to `check_env` without.*")
         check_env(environment(made, shuffle=True, render_mode="rgb_array"))
-
-
-def test_it_is_made_by_its_name(made: tuple[Export, Path]) -> None:
-    options = {"export": made[0], "split": "train", "cameras": None}
-    single = gymnasium.make(ENVIRONMENT_ID, **options)
-    assert single.reset(seed=1)[1]["episode_id"] == made[0].tasks("train")[0].episode_id
-    several = gymnasium.make_vec(ENVIRONMENT_ID, num_envs=2, vectorization_mode="sync", **options)
-    seen, _ = several.reset(seed=1)
-    assert len(seen["instruction"]) == 2
-    seen, reward, ended, cut, _ = several.step(np.array([1, 2]))
-    assert seen["gps"].shape == (2, 2)
-    assert not reward.any()
-    assert not (ended | cut).any()
-    several.close()
 
 
 def test_equal_resets_give_equal_observations(made: tuple[Export, Path]) -> None:
@@ -205,17 +190,6 @@ def test_noise_is_seeded_and_leaves_the_score_to_where_one_is(made: tuple[Export
         assert pathfinder.is_navigable(place, 0.5)
     exact = Follower(pathfinder).walk(task.start, 0.0, [1, 2]).positions
     assert len(exact) == 3
-
-
-def test_scenes_are_kept_open_while_there_is_room(made: tuple[Export, Path]) -> None:
-    views = SceneViews({"replicacad": made[1]}, kept=1)
-    names = sorted({str(task.axes["scene"]) for task in made[0].tasks("train")})
-    first = views(names[0])
-    assert views(names[0]) is first
-    views(names[1])
-    assert views(names[0]) is not first
-    with pytest.raises(UsageError, match="no dataset was given for the family 'gibson'"):
-        views("gibson/x")
 
 
 def test_what_is_asked_must_be_there(made: tuple[Export, Path]) -> None:

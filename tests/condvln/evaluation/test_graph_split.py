@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -120,21 +119,6 @@ def test_paths_over_viewpoints_have_all_measures_that_need_no_actions(
     assert lacking == {"steps", "collisions", "stopped", "over_budget", "off_navmesh", *looking}
 
 
-def test_the_sweep_moves_the_margin(found: tuple[list[Evaluation], list[Task]]) -> None:
-    (perfect, lazy, corner), _ = found
-    assert perfect.sweep[1.0]["success"].mean() == 1
-    assert lazy.sweep[5.0]["success"].mean() == 0
-    assert corner.sweep[1.0]["leaf_correct"].tolist() == corner.scores["leaf_correct"].tolist()
-
-
-def test_tables_have_what_is_known_and_no_column_of_nothing(found: tuple[list[Evaluation], list[Task]]) -> None:
-    tables = {table.name: table for table in all_tables(*found)}
-    assert {"main", "branches", "by_category", "by_depth", "divergence", "comparison", "sweep"} <= set(tables)
-    keys = [column.key for column in tables["branches"].columns]
-    assert "leaf_correct" in keys
-    assert not {"steps", "collisions", "stopped", "over_budget"} & set(keys)
-
-
 def test_three_predictions_for_one_text_are_one_episode(
     export: Path, found: tuple[list[Evaluation], list[Task]], tmp_path: Path
 ) -> None:
@@ -206,54 +190,3 @@ def test_what_is_amiss_is_said(export: Path, tmp_path: Path) -> None:
             evaluate_split(tmp_path, "train", [graph], options(export))
     missing, _ = evaluate_split(export, "train", [graph], options(export))
     assert missing[0].scores["missing"].mean() == 1
-
-
-def in_steps(*sizes: int) -> Any:
-    """Put a path's viewpoints after the first into steps of so many, the last into one step."""
-
-    def nested(path: list[str]) -> list[Any]:
-        steps: list[Any] = [path[:1]]
-        at = 1
-        for size in sizes:
-            steps.append(path[at : at + size])
-            at += size
-        return [*steps, path[at:]]
-
-    return nested
-
-
-def inclusive(path: list[str]) -> list[Any]:
-    """A step is the path from the viewpoint before to the next."""
-    return [path[:1], *([a, b] for a, b in pairwise(path))]
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [
-        in_steps(1),
-        in_steps(2),
-        in_steps(),
-        in_steps(0, 3, 0, 1),
-        inclusive,
-        lambda path: [[[v, 0.1, 0.0] for v in path]],
-        lambda path: [path],
-    ],
-    ids=["one and the rest", "two and the rest", "one jump", "empty steps", "inclusive", "with headings", "one step"],
-)
-def test_a_walk_scores_the_same_however_its_steps_are_grouped(
-    export: Path, found: tuple[list[Evaluation], list[Task]], tmp_path: Path, shape: Any
-) -> None:
-    items = json.loads((export / "r2r" / "R2R_train.json").read_text())
-    file = tmp_path / "nested.json"
-    file.write_text(json.dumps([{"instr_id": f"{i['path_id']}_0", "trajectory": shape(i["path"])} for i in items]))
-    (nested,), _ = evaluate_split(export, "train", [file], options(export))
-    flat = found[0][0]
-    for name in flat.scores:
-        np.testing.assert_array_equal(nested.scores[name], flat.scores[name], err_msg=name)
-    assert flat.scores["gaps"].sum() == 0
-
-
-def test_viewpoints_that_share_no_edge_are_counted(export: Path, tmp_path: Path) -> None:
-    ends = walks(export, tmp_path / "ends.json", lambda path: [path[0], path[-1]])
-    (jumps,), _ = evaluate_split(export, "train", [ends], options(export))
-    assert (jumps.scores["gaps"] == 1).all()

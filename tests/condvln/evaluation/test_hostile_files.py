@@ -163,12 +163,3 @@ def test_results_beyond_their_range_are_refused(tmp_path: Path, changed: dict[st
     with pytest.raises(FormatError) as caught:
         read_episode_stats(path)
     assert (caught.value.place, caught.value.what) == ("episode 7", what)
-
-
-def test_what_is_not_finite_in_results_is_undefined(tmp_path: Path) -> None:
-    path = tmp_path / "results.json"
-    path.write_text('{"7": {"spl": NaN, "distance_to_goal": Infinity, "success": 1}}')
-    measures = read_episode_stats(path)["7"]
-    assert measures["success"] == 1
-    assert math.isnan(measures["spl"])
-    assert math.isnan(measures["navigation_error"])

@@ -157,8 +157,6 @@ def test_what_is_no_file_of_predictions_is_named(tmp_path: Path, text: str, says
             "the position is [0,0], not three numbers",
         ),
         ('{"a": [{"position": [0, 0, "0"]}]}', "episode a, step 0", 'the position is [0,0,"0"], not three numbers'),
-        ('{"a": [{"position": [true, 0, 0]}]}', "episode a, step 0", "the position is [true,0,0], not three numbers"),
-        ('{"a": [{"position": null}]}', "episode a, step 0", "the position is null, not three numbers"),
         ('{"a": [{"heading": 0}]}', "episode a, step 0", "the position is null, not three numbers"),
         (
             '{"a": [{"position": [0, 0, 0]}, {"position": [1e308, 0, 0]}]}',
@@ -166,39 +164,17 @@ def test_what_is_no_file_of_predictions_is_named(tmp_path: Path, text: str, says
             "the position [1e+308,0,0] is farther than 100000 m from the origin of its scene",
         ),
         (
-            '{"a": [{"position": [0, 0, 0]}, {"position": [0, -100001, 0]}]}',
-            "episode a, step 1",
-            "the position [0,-100001,0] is farther than 100000 m from the origin of its scene",
-        ),
-        (
-            '{"a": [{"position": [18446744073709551615, 0, 0]}]}',
-            "episode a, step 0",
-            "the position [18446744073709551615,0,0] is farther than 100000 m from the origin of its scene",
-        ),
-        (
-            '{"a": [{"position": [0, 0, 0]}, {"position": [0, 1e999, 0]}]}',
-            "episode a, step 1",
-            "the number inf in the position is not finite",
-        ),
-        (
             '{"b": [], "a": [{"position": [0, 0, 0]}, {"position": [NaN, 0, 0]}]}',
             "episode a, step 1",
             "the number nan in the position is not finite",
         ),
         ('{"a": [{"position": [0, 0, 0], "stop": 2}]}', "episode a, step 0", "stop is 2, neither true nor false"),
-        ('{"a": [{"position": [0, 0, 0], "stop": NaN}]}', "episode a, step 0", "stop is nan, neither true nor false"),
-        (
-            '{"a": [{"position": [0, 0, 0], "stop": "true"}]}',
-            "episode a, step 0",
-            "stop is 'true', neither true nor false",
-        ),
         (
             '{"a": [{"position": [0, 0, 0], "position": [1, 0, 0]}]}',
             "episode a",
             "invalid JSON: the key 'position' occurs twice in one object",
         ),
         ('{"a": [{"position": [0, 0, 0', "entry 0", "the file is truncated, or its brackets do not match"),
-        ('{"a": [' + "[" * 70 + "]" * 70 + "]}", "episode a", "the document is nested more than 64 levels deep"),
         ('{"a": [' + "[" * 9999, "entry 0", "the document is nested more than 64 levels deep"),
     ],
 )
@@ -225,16 +201,6 @@ def test_vlnce_gone_wrong(tmp_path: Path, document: str, place: str, says: str) 
         ),
         ('{"path": [[0, 0, 0]]}', "line 1", "instruction_id is missing"),
         ('{"instruction_id": true, "path": []}', "line 1", "instruction_id is true, not text or a number"),
-        (
-            '{"instruction_id": 1, "path": [[0, 0, 0], [0, 0, null]]}',
-            "episode 1, step 1",
-            "the position is [0,0,null], not three numbers",
-        ),
-        (
-            '{"instruction_id": 1, "path": []}\n{"instruction_id": 2, "path": [[0, 0, 0], [0, 0, -Infinity]]}',
-            "episode 2, step 1",
-            "the number -inf in the position is not finite",
-        ),
         (
             '{"instruction_id": 1, "path": [[0, 1e308, 0]]}',
             "episode 1, step 0",
@@ -293,11 +259,6 @@ def test_every_viewpoint_of_a_step_is_on_the_path(tmp_path: Path, trajectory: An
     for path in write(tmp_path / "array.json", [entry]), write(tmp_path / "line.jsonl", entry):
         assert detect_format(path) == "r2r"
         assert list(read_graph_predictions(path)) == [GraphPrediction("1_0", ("a", "b", "c", "d"))]
-
-
-def test_viewpoints_of_one_place_in_a_row_are_kept(tmp_path: Path) -> None:
-    path = write(tmp_path / "p.json", [{"instr_id": "1_0", "trajectory": [["a", 0, 0], ["a", 1, 0], ["b", 1, 0]]}])
-    assert list(read_graph_predictions(path)) == [GraphPrediction("1_0", ("a", "a", "b"))]
 
 
 @pytest.mark.parametrize("end", [True, 1, 1.0])
@@ -365,15 +326,6 @@ def test_the_last_of_duplicates_is_kept_where_that_is_asked(tmp_path: Path, name
     found = list(read_predictions(path, rules=ReadRules(duplicates="keep-last"), notes=notes))
     assert [(one.episode_id, one.positions.tolist()) for one in found] == [("1", [[5, 0, 0]]), ("2", [])]
     assert notes == ["1 predictions of episodes that the file has again later were left out"]
-
-
-def test_the_last_of_duplicate_instructions_is_kept_where_that_is_asked(tmp_path: Path) -> None:
-    path = write(tmp_path / "p.json", [{"instr_id": "1_0", "trajectory": [[v]]} for v in "ab"])
-    notes: list[str] = []
-    assert list(read_graph_predictions(path, ReadRules(duplicates="keep-last"), notes)) == [
-        GraphPrediction("1_0", ("b",))
-    ]
-    assert len(notes) == 1
 
 
 CUT = {
@@ -479,26 +431,6 @@ def test_other_odd_files_are_refused_by_what_is_wrong(tmp_path: Path, data: byte
     assert says in str(caught.value)
 
 
-def test_a_gzip_file_of_several_members_and_another_suffix_is_read(tmp_path: Path) -> None:
-    text = json.dumps({"1": [pose(0), pose(0.25, True)]}).encode()
-    path = tmp_path / "agent.backup"
-    path.write_bytes(gzip.compress(text[:20]) + gzip.compress(text[20:]))
-    assert only(path).stopped
-
-
 def test_rules_that_are_unknown_are_refused() -> None:
     with pytest.raises(UsageError, match="keep-last"):
         ReadRules(duplicates="first")  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("colons", ["a:b", "::", '\\":'])
-def test_colons_in_names_are_no_keys(tmp_path: Path, colons: str) -> None:
-    path = write(tmp_path / "p.json", {colons: [pose(0, note=colons), pose(1, True, more={colons: colons})]})
-    assert only(path).episode_id == colons
-
-
-def test_a_long_path_is_read_to_its_last_digit(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(0, 10, (5000, 3))
-    path = write(tmp_path / "p.json", {"a": [{"position": p, "stop": False} for p in points.tolist()]})
-    np.testing.assert_array_equal(only(path).positions, points)

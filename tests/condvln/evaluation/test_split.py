@@ -18,7 +18,7 @@ from condvln.evaluation.episode_stats import evaluation_of_stats, is_episode_sta
 from condvln.evaluation.evaluate import AXES, Evaluation, evaluate
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.reading import ReadRules
-from condvln.evaluation.split import SplitOptions, evaluate_split, forward_step, split_tasks
+from condvln.evaluation.split import evaluate_split, forward_step, split_tasks
 from condvln.evaluation.task import Task, read_tasks
 from condvln.export.snapshot import export_snapshot
 from condvln.navigation.pathfinder import Pathfinder
@@ -66,16 +66,6 @@ def test_without_ground_truth_the_reference_path_is_made_dense(export: Path, tas
         np.testing.assert_allclose(bare.reference, full.reference, atol=6e-4)  # ground truth is rounded to 1 mm
 
 
-def test_perfect_paths_score_one(tasks: list[Task]) -> None:
-    found = evaluate(tasks, map(perfect, tasks), world, agent="perfect")
-    assert len(found) == len(tasks)
-    for name in ("success", "oracle_success", "ndtw", "sdtw", "bsa_all", "csr_all"):
-        assert (found.scores[name] == 1).all(), name
-    np.testing.assert_allclose(found.scores["spl_route"], 1, atol=1e-3)
-    np.testing.assert_allclose(found.scores["cls"], 1, atol=1e-3)
-    assert not np.isnan(found.scores["bsa"]).any()
-
-
 def test_predictions_in_any_order_and_missing_ones(tasks: list[Task]) -> None:
     handed_in = [perfect(task) for task in tasks]
     whole = evaluate(tasks, handed_in, world)
@@ -110,13 +100,6 @@ def test_a_sweep_keeps_what_depends_on_the_distance(tasks: list[Task]) -> None:
     assert rates == sorted(rates)
     assert rates[0] < rates[-1]
     np.testing.assert_array_equal(found.sweep[1.0]["spl"], found.scores["spl"])
-
-
-def test_rows_are_plain(tasks: list[Task]) -> None:
-    rows = evaluate(tasks, [], world).rows()
-    assert json.loads(json.dumps(rows, allow_nan=False)) == rows
-    assert rows[0]["episode_id"] == tasks[0].episode_id
-    assert rows[0]["steps"] is None
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
@@ -167,6 +150,11 @@ def test_no_such_split_names_those_there_are(export: Path) -> None:
         split_tasks(export, "all")
 
 
+def test_two_agents_of_one_name_are_refused(export: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="have the same name"):
+        evaluate_split(export, "train", [tmp_path / "near.json"] * 2)
+
+
 @pytest.fixture
 def navmesh(tmp_path: Path, l_shape: Pathfinder) -> tuple[Path, str]:
     path = tmp_path / "data" / "meshes" / "a.navmesh"
@@ -194,27 +182,6 @@ def test_navmeshes_are_found_below_the_roots_and_proven(navmesh: tuple[Path, str
 def test_a_navmesh_outside_of_the_roots_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(PathEscapeError):
         NavmeshFolder((tmp_path,))(task_with(LEAVES, navmesh=name))
-
-
-def test_files_in_evaluations_out(
-    export: Path, tmp_path: Path, tasks: list[Task], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("condvln.evaluation.split.NavmeshFolder", lambda roots: world)
-    poses = {
-        t.episode_id: [{"position": p, "heading": 0, "stop": i == 1} for i, p in enumerate(t.reference[:2].tolist())]
-        for t in tasks
-    }
-    first, second = tmp_path / "near.json", tmp_path / "walker.jsonl"
-    first.write_text(json.dumps(poses))
-    lines = [{"instruction_id": t.episode_id, "path": t.reference.tolist()} for t in tasks]
-    second.write_text("\n".join(json.dumps(line) for line in lines))
-    found, there = evaluate_split(export, "train", [first, second], SplitOptions(radii=(3.0,)))
-    assert [e.agent for e in found] == ["near", "walker"]
-    assert len(there) == len(tasks)
-    assert found[0].scores["success"].mean() < 0.2
-    assert found[1].scores["success"].mean() == 1
-    with pytest.raises(UsageError, match="have the same name"):
-        evaluate_split(export, "train", [first, first])
 
 
 # -- results that others wrote -----------------------------------------------------------------------------------------
@@ -292,13 +259,6 @@ def test_episode_stats_gone_wrong(tmp_path: Path, name: str, text: str, says: st
     (tmp_path / name).write_text(text)
     with pytest.raises(FormatError, match=says):
         read_episode_stats(tmp_path / name)
-
-
-def test_results_in_an_object_around_them_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "r.json"
-    path.write_text('{"results": {"474": {"success": 1}}}')
-    with pytest.raises(FormatError, match="episode results: the value holds the results of several episodes"):
-        read_episode_stats(path)
 
 
 def test_episode_stats_of_nothing_or_twice(tmp_path: Path) -> None:

@@ -12,23 +12,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.plots import axis_figure, save_figures
-from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich, written
+from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, written
 from condvln.evaluation.tables import (
     MAIN_COLUMNS,
     Cell,
     Column,
     Table,
     all_tables,
-    axis_table,
     main_table,
-    twin_tables,
 )
 from condvln.evaluation.task import Task
-from jobs.report import PIPE_WIDTH
 from tests.condvln.evaluation.conftest import OpenPlain
 from tests.condvln.evaluation.test_aggregate import choosing, fleet
 
@@ -51,13 +47,6 @@ def evaluations(tasks: list[Task]) -> list[Evaluation]:
 @pytest.fixture(scope="module")
 def tables(evaluations: list[Evaluation], tasks: list[Task]) -> list[Table]:
     return all_tables(evaluations, tasks)
-
-
-def test_everything_is_there(tables: list[Table]) -> None:
-    names = [table.name for table in tables]
-    assert len(set(names)) == len(names)
-    assert {"main", "branches", "by_depth", "by_chain", "sweep", "divergence", "groups", "comparison"} <= set(names)
-    assert sum(name.startswith("leaves_") for name in names) == 12
 
 
 def test_main_table_says_what_the_scores_say(evaluations: list[Evaluation]) -> None:
@@ -108,20 +97,6 @@ def test_results_without_subgoals_have_neither_their_columns_nor_the_note(evalua
     assert main_table(evaluations).note
 
 
-def test_several_sources_get_a_row_of_all(evaluations: list[Evaluation]) -> None:
-    table = axis_table(evaluations, "category")
-    assert [row[0].value for row in table.rows[-2:]] == ["all", "all"]
-    assert table.rows[-1][-1].value == 120
-
-
-def test_original_against_oracle_text(evaluations: list[Evaluation]) -> None:
-    oracle, original = evaluations
-    main, _, _, comparison = twin_tables([(original, oracle)])
-    assert [row[1].value for row in main.rows] == ["always|first (oracle text)", "always|first (conditions)"]
-    success = next(row for row in comparison.rows if row[2].value == "success")
-    assert success[3].value == 1 - original.scores["success"].mean()
-
-
 @pytest.mark.parametrize(
     ("cell", "kind", "text"),
     [
@@ -137,41 +112,6 @@ def test_original_against_oracle_text(evaluations: list[Evaluation]) -> None:
 )
 def test_cells(cell: Cell, kind: str, text: str) -> None:
     assert written(cell, Column("k", "K", kind)) == text  # type: ignore[arg-type]
-
-
-def test_terminal_shows_every_row(tables: list[Table]) -> None:
-    for table in tables:
-        out = io.StringIO()
-        Console(file=out, width=300).print(as_rich(table))
-        text = out.getvalue()
-        assert table.title in text
-        assert sum("oracle_100%" in line for line in text.splitlines()) >= sum(
-            any(cell.value == "oracle_100%" for cell in row) for row in table.rows
-        )
-
-
-def test_a_pipe_is_wide_enough_for_the_main_table() -> None:
-    """All measures with intervals, and how many episodes they are over, without a number broken."""
-    row = (
-        Cell("replicacad"),
-        Cell("random-leaf"),
-        *(
-            Cell(11.73, 8.73, 14.73, 500, 1000) if column.kind == "metres" else Cell(1.0, 1.0, 1.0, 500, 1000)
-            for column in MAIN_COLUMNS
-        ),
-        Cell(12345),
-    )
-    columns = (
-        Column("source", "source", "text"), Column("agent", "agent", "text"), *MAIN_COLUMNS,
-        Column("episodes", "n", "count"),
-    )  # fmt: skip
-    out = io.StringIO()
-    Console(file=out, width=PIPE_WIDTH).print(as_rich(Table("main", "Main results", columns, (row,))))
-    values, intervals, counts = (line.split() for line in out.getvalue().splitlines()[-4:-1])
-    lengths = [column.kind == "metres" for column in MAIN_COLUMNS]
-    assert values == ["replicacad", "random-leaf", *("11.73" if one else "100.0" for one in lengths), "12345"]
-    assert intervals == ["8.7–14.7" if one else "100–100" for one in lengths]
-    assert counts == ["(500)"] * len(lengths)
 
 
 def test_markdown_is_a_table(tables: list[Table]) -> None:
@@ -214,23 +154,6 @@ def test_json_and_csv_hold_the_same_unrounded_numbers(tables: list[Table]) -> No
                 assert row[key] == ("" if mean is None else str(mean))
                 if isinstance(value, dict):
                     assert row[f"{key}_n"] == str(value["n"])
-
-
-def test_nothing_of_a_plot_is_hidden(evaluations: list[Evaluation]) -> None:
-    agents = [replace(evaluations[0], agent=f"agent {number} of nine") for number in range(9)]
-    figure = axis_figure(agents, "chain")
-    figure.draw_without_rendering()
-    (legend,) = figure.legends
-    assert len(legend.get_texts()) == 9
-    assert figure.bbox.containsx(legend.get_window_extent().x1)
-    for panel in figure.axes:
-        assert panel.get_legend() is None
-        assert not panel.get_window_extent().overlaps(legend.get_window_extent())
-        # The mark of a perfect agent stands whole within the panel.
-        low, high = panel.transAxes.inverted().transform(panel.transData.transform([(1, 0), (1, 100)]))[:, 1]
-        assert 0.02 < low < high < 0.98
-    marks = [line.get_marker() for line in figure.axes[0].get_lines() if len(line.get_xdata()) > 1]
-    assert len({mark for mark in marks if mark not in ("_", "None")}) == 9
 
 
 def test_plots_show_the_means_and_repeat(evaluations: list[Evaluation], tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import json
-import shutil
 import threading
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -221,37 +220,3 @@ def test_the_example_follows_a_model_behind_an_endpoint(
     assert "multiple of 15" in answers[1]
     assert "Steps left" in answers[2]
     assert Stub.asked[4]["messages"][-1] == {"role": "user", "content": "Use a tool."}
-
-
-def test_the_example_walks_the_families_that_are_named(
-    made: tuple[Export, Path],
-    endpoint: str,
-    repository: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Every second episode is of a family without a dataset."""
-    shutil.copytree(made[0].folder, tmp_path / "mixed")
-    manifest = tmp_path / "mixed" / "manifest" / "train.jsonl"
-    rows = [json.loads(line) for line in manifest.read_text().splitlines()]
-    for row in rows[::2]:
-        row["source"] = "procthor"
-    manifest.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    out = tmp_path / "model.json"
-    datasets = [f"gibson={tmp_path}", f"replicacad={made[1]}"]
-    monkeypatch.setattr(
-        "sys.argv", ["chat_agent.py", str(tmp_path / "mixed"), "train", *datasets, endpoint, "m", str(out)]
-    )
-    example(repository).main()
-    assert [one.episode_id for one in read_predictions(out)] == [str(row["episode_id"]) for row in rows[1::2]]
-    assert f"{len(rows[::2])} episodes of procthor are left out" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "words", [[], ["e", "s", "http://x", "m", "out"], ["e", "s", "replicacad", "http://x", "m", "o"]]
-)
-def test_the_example_says_how_it_is_called(repository: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:
-    monkeypatch.setattr("sys.argv", ["chat_agent.py", *words])
-    with pytest.raises(SystemExit, match="FAMILY=FOLDER"):
-        example(repository).main()

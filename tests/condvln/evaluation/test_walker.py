@@ -186,12 +186,6 @@ def test_guessers_guess_and_repeat_themselves(name: str, tasks: list[Task], floo
     assert ends != [AGENTS[name](t, floor, 2).positions[-1].tolist() for t in tasks]
 
 
-def test_the_oracle_walks_the_ground_truth(tasks: list[Task], floor: Pathfinder) -> None:
-    found = rates("oracle", tasks, floor)
-    assert found["ndtw"] == 1
-    assert found["bsa_all"] == found["csr_all"] == 1
-
-
 def test_a_budget_too_small_leaves_the_walker_on_its_way(floor: Pathfinder) -> None:
     short = walk_to_leaf(task(max_steps=4), floor, 0)
     assert len(short.positions) <= 5

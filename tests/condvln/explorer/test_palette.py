@@ -63,9 +63,3 @@ def test_colours_of_leaves_and_agents_are_told_apart_by_everyone(theme: str) -> 
     for name, colour in colours.items():
         light, dark = sorted((luminance(colour), luminance(back)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 3.0, name
-
-
-def test_ways_to_leaves_are_dashed_and_walks_are_not() -> None:
-    dashes = re.findall(r"\.way\.leaf-(\d) { stroke: var\(--leaf\1\); stroke-dasharray: ([\d ]+); }", CSS)
-    assert len({dash for _, dash in dashes}) == 4
-    assert not re.search(r"\.way\.(walk|gold)[^{]*{[^}]*dasharray", CSS)

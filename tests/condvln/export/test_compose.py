@@ -24,7 +24,7 @@ from condvln.formats.gltf_tree import packed_glb
 from condvln.formats.triangles import Z_UP, glb_triangles
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import with_built_navmesh, with_shipped_navmesh
-from condvln.samples.maker import make_layouts, make_samples, write_replicacad
+from condvln.samples.maker import make_layouts, make_samples
 from condvln.scene import Scene
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.registry import open_source
@@ -32,6 +32,7 @@ from condvln.sources.scene_source import Source
 from schemas.config import AgentConfig
 from schemas.errors import FormatError
 from tests.broken_bytes import broken
+from tests.condvln.voxelised import voxelise
 
 F64 = NDArray[np.float64]
 Tree = dict[str, Any]
@@ -40,9 +41,9 @@ Tree = dict[str, Any]
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("composed")
-    write_replicacad(root / "replicacad", make_layouts(2, 4), navmesh="recast")
-    for family in ("procthor", "ithor", "robothor", "mp3d"):
+    for family in ("replicacad", "procthor", "ithor", "robothor", "mp3d"):
         make_samples(root / family, family, 2, 4)
+    voxelise(root / "replicacad", make_layouts(2, 4))
     return root
 
 

@@ -37,13 +37,3 @@ def test_many_is_one_by_one(many: list[np.ndarray]) -> None:
     assert len(ends) == len(many) + 1
     for index, path in enumerate(many):
         np.testing.assert_array_equal(dense[ends[index] : ends[index + 1]], densify(path))
-
-
-def test_ten_metres_are_forty_steps() -> None:
-    dense = densify([[0, 0, 0], [10, 0, 0]])
-    np.testing.assert_allclose(dense[:, 0], np.arange(41) * 0.25, atol=1e-12)
-
-
-def test_points_that_repeat_count_once_and_one_point_stays() -> None:
-    assert densify([[1, 2, 3]]).tolist() == [[1, 2, 3]]
-    assert densify([[1, 2, 3], [1, 2, 3], [1, 2, 3]]).tolist() == [[1, 2, 3]]

@@ -11,8 +11,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from condvln.evaluation.discrete import read_graph_episodes
-from condvln.evaluation.episode_stats import is_episode_stats, read_episode_stats
 from condvln.export.twin import rewrite_split
 from condvln.export.validation import CODES, validate
 from condvln.export.validation.folder import EpisodeNavmeshes
@@ -76,21 +74,6 @@ def test_the_twin_is_one_error_or_a_file_of_as_many_episodes(
         assert len(json.loads(out.read_text())["episodes"]) == report.episodes == len(document["episodes"])
         return
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.json"]
-
-
-@FUZZED
-@given(st.data())
-def test_readers_of_others_files_answer_with_one_error(tmp_path: Path, data: st.DataObject) -> None:
-    path = tmp_path / "x.json"
-    items = [{"scan": "s", "path_id": 1, "path": ["0"], "instructions": ["Go."]}]
-    path.write_text(json.dumps(spoiled(items, data)))
-    with suppress(CondVLNError):
-        assert all(isinstance(episode.path, tuple) for episode in read_graph_episodes(path))
-    stats = {"a": {"success": 1.0, "collisions": {"count": 2}}, "b": {"spl": None}}
-    path.write_text(json.dumps(spoiled(stats, data)))
-    assert is_episode_stats(path) in (True, False)
-    with suppress(CondVLNError):
-        assert all(isinstance(v, float) for row in read_episode_stats(path).values() for v in row.values())
 
 
 @FUZZED

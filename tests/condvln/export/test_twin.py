@@ -28,14 +28,6 @@ def paths(exported: Path) -> tuple[Path, Path]:
     return exported / "vlnce" / "test" / "test.json.gz", exported / "manifest" / "test.jsonl"
 
 
-def test_the_twin_is_the_one_that_the_export_writes(exported: Path, tmp_path: Path) -> None:
-    document, manifest = paths(exported)
-    report = rewrite_split(document, rows(manifest), tmp_path / "twin.json.gz", told)
-    assert report.unknown_words == 0
-    assert report.episodes == len(read(document)["episodes"])
-    assert (tmp_path / "twin.json.gz").read_bytes() == (exported / "oracle" / "test" / "test.json.gz").read_bytes()
-
-
 def test_a_file_of_bare_tokens_stays_bare(exported: Path, tmp_path: Path) -> None:
     document, manifest = paths(exported)
     content = read(document)

@@ -62,29 +62,20 @@ def test_nothing_inside(tmp_path: Path, text: str) -> None:
     ("text", "says"),
     [
         ("", "the file is empty"),
-        ("  \n", "the file is empty"),
         ("\ufeff", "the file is empty"),
         ('"text"', "neither a JSON object nor an array"),
         ("[1]", "entry 0"),
         ('{"a": 1}', "entry 0"),
-        ('{"a": [1], "b": 2}', "entry 1"),
         ('{"a": [1]', "truncated"),
-        ('{"a": [1', "truncated"),
         ('{"a": [1, tru', "truncated"),
         ('{"a": ["\\ud83', "truncated"),
-        ('{"a": [1], ', "truncated"),
-        ('{"a"', "truncated"),
         ('{"a": [1}', "entry 0: not JSON"),
         ('{"a": [1}' + " " * 99 + ', "b": [2]}', "entry 0: not JSON"),
         ('{"a": ' + "[" * 100_000, "entry 0: the document is nested more than 64 levels deep"),
         ('{"a": ["x]}', "truncated"),
         ('{"a": [1]}}', "after the end of the JSON document"),
-        ('{"a": [1]} {"b": [2]}', "after the end of the JSON document"),
-        ('{"a" [1]}', "entry 0"),
         ('{"a": [1] "b": [2]}', "entry 1"),
-        ("[[1] [2]]", "entry 1"),
         ("[,[1]]", "entry 0"),
-        ("[[1],]", "entry 1"),
         ("[[1]}", "entry 1"),
     ],
 )
@@ -94,12 +85,6 @@ def test_what_is_amiss_is_said(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(FormatError, match=says) as caught:
         list(entries(path))
     assert "bad.json" in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["NaN", "Infinity", "-Infinity"])
-def test_pythons_own_constants_are_named(tmp_path: Path, name: str) -> None:
-    with pytest.raises(FormatError, match=f"the number {name} is not finite"):
-        parsed(f"[{name}]".encode(), tmp_path, "entry")
 
 
 def test_a_cut_gzip_and_no_file(tmp_path: Path) -> None:

@@ -191,14 +191,6 @@ def test_balanced_weights_keep_labels_and_anchors_silent(rows: int, columns: int
     np.testing.assert_allclose(*by_label, atol=1e-4)
 
 
-def test_balanced_weights_of_a_square() -> None:
-    true = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 0]], dtype=bool)
-    weights = balanced_weights(true, ~true)
-    assert weights is not None
-    for axis in (0, 1):
-        np.testing.assert_allclose(weights[True].sum(axis=axis), weights[False].sum(axis=axis), rtol=1e-6)
-
-
 @example(4, 4, 2, 43337)  # fitting leaves one truth of a predicate under the least weight
 @given(st.integers(2, 5), st.integers(2, 5), st.integers(1, 4), st.integers(0, 2**32))
 def test_jointly_balanced_weights_use_both_truths_of_each_predicate(

@@ -12,8 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.instructions import balance
-from condvln.instructions.balance import ArrayFile
 from condvln.instructions.expected_draws import FULL_MASS, ExpectedDraws, fitted_log_factors
 from condvln.instructions.statement_counts import numbered, of_each
 
@@ -158,25 +156,3 @@ def test_the_excess_is_that_of_a_coin(aimed: float) -> None:
         assert found == pytest.approx(wanted[statement] * coin, abs=1e-6)
     assert abs((signs * before)[own == 0].sum()) > 0.2 * before[own == 0].sum(), "it was uneven"
     assert fitted_log_factors([draws], wanted, 1e9) == pytest.approx(0.0, abs=1e-6), "added scenes keep the weights"
-
-
-def test_an_iterator_is_refused() -> None:
-    draws = draws_of([Occurrence(0, 0, 0, False, 0, True, 0.5)])
-    with pytest.raises(TypeError, match="many times"):
-        fitted_log_factors(iter([draws]), np.zeros(1))
-
-
-@pytest.mark.parametrize("in_memory", [1, 1 << 20])
-def test_arrays_are_read_as_often_as_wanted(in_memory: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(balance, "IN_MEMORY", in_memory)
-    file = ArrayFile(2)
-    assert [*file] == []
-    given_ = [(np.arange(3), np.array([], np.int64)), (np.array([-5]), np.array([2**31 - 1, -(2**31)]))]
-    for one in given_:
-        file.append(*one)
-    for _ in range(2):
-        assert [[a.tolist() for a in one] for one in file] == [[a.tolist() for a in one] for one in given_]
-    file.append(*given_[0])
-    assert len([*zip(file, file, strict=True)]) == 3, "two readers at a time"
-    with pytest.raises(ValueError, match="1 arrays instead of 2"):
-        file.append(np.arange(3))

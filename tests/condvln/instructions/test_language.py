@@ -127,14 +127,6 @@ def test_agreeing_with_a_denial_is_found() -> None:
     assert not list(findings(language("en"), "simple", plain))
 
 
-def test_the_lint_tells_leaves_apart_by_truths() -> None:
-    words = language("en")
-    template = _template({"voices": "brief", "text": "If {A}, {x}. If not, {y}."}, "simple")
-    assert not list(findings(words, "simple", template))
-    turned = replace(template, pieces=tuple(template.pieces[k] for k in (0, 1, 2, 5, 4, 3, 6)))
-    assert [f.template for f in findings(words, "simple", turned)], "leaves exchanged"
-
-
 def test_a_template_asks_everything_and_names_each_leaf() -> None:
     for text in ("If {A}, {x}.", "If {A}, {x}. If not, {x}.", "Go to {x}, or {y}."):
         with pytest.raises(AssertionError, match="ask each condition"):

@@ -11,13 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
 from condvln.instructions import LabelPriors, balance, priors
 from condvln.instructions.absence import presence_asked
-from condvln.instructions.balance import SHARED_WORD_WEIGHT, SceneRows, family_log_factors, informative_weights
+from condvln.instructions.balance import informative_weights
 from condvln.instructions.likeness import called_otherwise
 from condvln.instructions.priors import PRIORS
 from condvln.instructions.referents import Referents
@@ -287,49 +286,6 @@ def test_factors_are_of_a_family_and_kept_in_the_table(make_scene) -> None:
     assert bits.document() != LabelPriors.merged(counts).bits(scenes[0], 0.05).document()
     elsewhere = LabelPriors.of_corpus([("other", one) for one in counts], SamplingConfig())
     assert not elsewhere.bits(scenes[0], 0.05).even
-
-
-def test_factors_do_not_depend_on_how_many_scenes_are_read_at_once(make_scene, monkeypatch) -> None:
-    scenes = [make_scene(700 + k, ("bedroom", "bathroom", "kitchen")[k % 2 :], 5) for k in range(23)]
-    for k in range(0, 23, 3):  # types in another order, and one without a word
-        rooms = [replace(room, label="no such room") if room.label == "bathroom" else room for room in scenes[k].rooms]
-        scenes[k] = replace(scenes[k], rooms=tuple(rooms))
-    counts = [counted(scene).rows() for scene in scenes]
-    counts.insert(7, PRIORS.empty_table())  # a scene without rooms
-    summed = StatementCounts(LabelPriors.merged(map(LabelPriors.from_table, counts)).table()).all()
-    found = []
-    for most in (1, 600, 10**9):
-        monkeypatch.setattr(balance, "IN_MEMORY", most)
-        rows = SceneRows("made", "compass")
-        for one in counts:
-            rows.add(one, most)
-        found.append((len([*rows.blocks()]), family_log_factors(rows, summed, {}, SamplingConfig(), PlacesConfig())))
-    assert found[0][0] > found[1][0] > found[2][0] == 1
-    assert found[0][1] == found[1][1] == found[2][1]
-    assert len(found[0][1]) > 20
-
-
-def test_rooms_that_share_a_word_hardly_count_in_the_fit(make_scene, monkeypatch) -> None:
-    """Where a house has two bedrooms, hardly anything is asked about them, so what is true there hardly matters."""
-    houses = [counted(make_scene(700 + k, ("kitchen", "bedroom"), 7)).rows() for k in range(20)]
-    others = [counted(make_scene(800 + k, ("kitchen", "bedroom", "bedroom"), 7)).rows() for k in range(20)]
-    summed = StatementCounts(LabelPriors.merged(map(LabelPriors.from_table, (*houses, *others))).table()).all()
-
-    def fitted(scenes: list[pa.Table]) -> dict[tuple[object, ...], int]:
-        rows = SceneRows("made", "compass")
-        for one in scenes:
-            rows.add(one, 10**9)
-        found = family_log_factors(rows, summed, {}, SamplingConfig(), PlacesConfig())
-        return {statement: steps for statement, steps in found.items() if statement[0] == "bedroom"}
-
-    off = {}
-    for share in (0.0, SHARED_WORD_WEIGHT, 1.0):
-        monkeypatch.setattr("condvln.instructions.balance.SHARED_WORD_WEIGHT", share)
-        alone, all_ = fitted(houses), fitted([*houses, *others])
-        assert len(alone) > 20
-        off[share] = sum(abs(alone.get(one, 0) - all_.get(one, 0)) for one in {*alone, *all_})
-    assert off[0.0] == 0.0
-    assert 0.0 < off[SHARED_WORD_WEIGHT] < off[1.0], off
 
 
 def test_factors_change_only_with_the_version(make_scene) -> None:

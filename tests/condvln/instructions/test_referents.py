@@ -151,13 +151,6 @@ def test_names_fit_one_object_only(referents: Referents) -> None:
         assert referents.usable[i] == (unique or bool(ways)), "what can be told apart is not given up"
 
 
-def test_a_hidden_object_is_never_named_and_spoils_no_name() -> None:
-    room, arrays = made_room("r", "bedroom", ["bed", "lamp", "lamp", "lamp"], hidden=(1, 3))
-    referents = Referents.of(room, arrays, no_facts(4), vocabulary, 0.3)
-    assert referents.unique.tolist() == [True, False, True, False]
-    assert referents.usable.tolist() == [True, False, True, False]
-
-
 def test_a_room_is_not_named_by_what_may_be_hidden_in_another_or_has_no_extent() -> None:
     here = made_room("a", "bedroom", ["bed", "piano"])
     for labels, hidden, names in ((["bed"], (), 1), (["bed", "piano"], (1,), 0), (["bed", "piano"], (), 0)):

@@ -14,17 +14,6 @@ from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Program,
 from tests.condvln.instructions.hand_written import KITCHEN, LAMP, LIVING, PROGRAM, ROOM, nested_chain
 
 
-def test_a_stop_in_the_room_of_the_one_before_it_needs_no_room() -> None:
-    reading = parse(
-        "If there's a lamp in the kitchen, go to the bed in the bedroom, then to the desk. If not, go to the sink in "
-        "the bathroom, then to the sofa in the living room."
-    )
-    assert [[stop.room for stop in leaf] for leaf in reading.leaves] == [
-        [Place("bedroom"), Place("bedroom")],
-        [Place("bathroom"), Place("living room")],
-    ]
-
-
 def test_a_relation_asked_again_needs_no_room() -> None:
     text = (
         "If there's a lamp near the bed in the bedroom, see if there's a sink in the kitchen. If there is, go to the "

@@ -25,7 +25,6 @@ from condvln.instructions.rendering import names_compass, render, with_preamble,
 from condvln.instructions.stops import Stops, preferences
 from condvln.labels import vocabulary
 from condvln.scene import Scene
-from condvln.seeding import Draws
 from schemas.config import InstructionCell, InstructionsConfig, SamplingConfig, Thresholds
 from schemas.config.instructions import PredicateWeights
 from schemas.program import CATEGORIES, SHAPES, Anchor, Condition, ObjectRef, Program, Qualifier, RoomRef, anchors_of
@@ -78,45 +77,6 @@ def test_the_gold_leaf_is_even(sampled) -> None:
         assert chisquare([golds[k] for k in range(n_leaves)]).pvalue > ALPHA, category
 
 
-def test_numbers_of_moves_are_drawn_with_their_shares(sampled) -> None:
-    """More long routes are drawn than wanted, since placing rejects more of them. Leaf by leaf, in every scene."""
-    for *_, sampler, _ in sampled:
-        for category in CATEGORIES:
-            (cell,) = sampler.wanted.cells_of(category)
-            shares, leaves = sampler.sampling.drawn_move_shares(category), SHAPES[category].leaves
-            wanted = replace(sampler._wanted_cell(cell, shares), draws=1)
-            drawing = sampler._drawing(wanted, 1, Draws(np.random.default_rng(1)), Seen(keys=None))
-            shapes = []
-            for _ in range(2000):
-                drawing.begin(0)
-                drawing.draw(1, Counter())
-                shapes.append(drawing.moves)
-            assert {len(moves) for moves in shapes} == {leaves}
-            fits_shares(Counter(n for moves in shapes for n in moves), shares)
-
-
-def test_a_refused_candidate_is_as_if_it_had_not_been_drawn(sampled) -> None:
-    """Its shape is tried again; what follows a last try is a new shape."""
-    sampler = sampled[0][2]
-    (cell,) = sampler.wanted.cells_of("nested")
-    wanted = sampler._wanted_cell(cell, sampler.sampling.drawn_move_shares("nested"))
-    for draws in (1, 3, 50):
-        seen, rejected = Seen(), Counter[str]()
-        stream = Draws(np.random.default_rng(2))
-        drawing = sampler._drawing(replace(wanted, draws=draws), 6, stream, seen)
-        assert len(drawing.draw(3, rejected)) == 3
-        used, keys = +seen.used, {*seen.keys}
-        tried = 0
-        while len(drawing.draw(1, rejected)) == 1 and tried < 4:
-            moves, tried = drawing.moves, tried + 1
-            drawing.refuse()
-            assert seen.keys == keys
-            assert +seen.used == used
-            if draws == 50 and tried < 4:
-                assert drawing.moves == moves
-        assert len(seen.keys) <= 4
-
-
 def test_numbers_of_moves_of_programs_have_these_shares(sampled) -> None:
     """An apartment has room for every shape. A house of five rooms has not: some shapes of long routes
     are given up there, and none is added.
@@ -154,17 +114,6 @@ def test_counterfactual_groups_have_the_asked_numbers_of_moves(sampled) -> None:
     for four, category in ((False, "simple"), (True, "nested_chain")):
         assert moves[four].total() >= 200
         fits_shares(moves[four], sampled[0][2].sampling.move_shares(category))
-
-
-def test_no_leaf_comes_back_to_a_room(sampled) -> None:
-    routes = [
-        tuple(move.room.room_id for move in leaf.moves)
-        for _, _, _, programs in sampled
-        for p in programs
-        for leaf in p.leaves
-        if len({move.room.room_id for move in leaf.moves}) == 2 < len(leaf.moves)
-    ]
-    assert {(a == b, b == c) for a, b, c in routes} == {(True, False), (False, True)}
 
 
 def named_in(program: Program) -> list[tuple[str, str]]:
@@ -378,14 +327,6 @@ def test_a_cell_bounds_the_words_of_the_published_text(make_scene, facts_maker, 
     assert sampler.rejections[none, "words_missed"] > 100
 
 
-def test_names_tell_what_a_cell_fixes() -> None:
-    plain = InstructionCell(category="chain", composition="C2", moves=3, observability="O1", count=5)
-    assert plain.name == "chain C2 O1 3 moves"
-    bounded = plain.model_copy(update={"route": (5.0, 12.5), "words": (20, 60)})
-    assert bounded.name == "chain C2 O1 3 moves 5-12.5 m 20-60 words"
-    assert InstructionCell(category="chain", route=(5.0, 12.5), count=1).drawn
-
-
 @pytest.mark.parametrize("group", PREDICATE_GROUPS)
 def test_every_weight_of_a_predicate_decides(make_scene, facts_maker, group: str) -> None:
     """For conditions and for names of stops, also of predicates that no made scene has a use for."""
@@ -453,35 +394,6 @@ def test_what_navigation_knows_is_kept_to(make_scene, facts_maker) -> None:
         assert all(apart[row[a], row[b]] for k, a in enumerate(goals) for b in goals[:k])
 
 
-def test_stops_that_leave_nothing_to_ask_are_known(make_scene, facts_maker) -> None:
-    """With four things in a room, sometimes one of them is in every statement that may be true, or false."""
-    found = kept = 0
-    for seed in range(8):
-        scene = make_scene(seed, ("kitchen", "living room"), 4, repeats=0.0)
-        bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
-        sampler = made_sampler(scene, facts_maker(scene), bits)
-        for room_id in sampler.condition_sampler.rooms:
-            pool = sampler.condition_sampler._rooms[room_id].pool
-            kinds = [*pool.relations.values(), *([pool.presence] if pool.presence else [])]
-            targets = sampler.stop_sampler.targets
-            for target in (target for target in targets if target.room_id == room_id):
-                meant = vocabulary.overlapping(target.label)
-                about_it = [
-                    any(
-                        meant.issuperset(kind.question(truth, k).label for k in range(len(kind.sums[truth])))
-                        for truth in (True, False)
-                    )
-                    for kind in kinds
-                ]
-                spoils = not sampler.condition_sampler.is_left_by(room_id, (target.room_id, target.label))
-                # Other rules, such as that a stop's name gives a condition away, may spoil as well.
-                assert spoils or not all(about_it)
-                found += all(about_it)
-                kept += not spoils
-    assert found >= 2
-    assert kept > 10
-
-
 def test_a_scene_with_nothing_to_tell_apart_yields_nothing_and_says_so(make_scene, facts_maker) -> None:
     scene = make_scene(0, ("apartment",), 3)
     same = replace(scene, objects=tuple(replace(o, label="chair") for o in scene.objects))
@@ -489,19 +401,6 @@ def test_a_scene_with_nothing_to_tell_apart_yields_nothing_and_says_so(make_scen
     sampler = made_sampler(same, facts_maker(same), bits)
     assert list(sampler.candidates("simple")) == []
     assert sampler.rejections == {(simple(count=20), "nothing_to_ask"): 1}
-
-
-def test_cells_take_the_place_of_their_category_s_number() -> None:
-    cells = (
-        InstructionCell(category="chain", composition="C2", moves=3, observability="O1", count=50),
-        InstructionCell(category="chain", count=7),
-    )
-    config = InstructionsConfig(per_category={"simple": 4, "chain": 9, "nested": 0}, cells=cells)
-    assert [(cell.name, cell.count) for cell in config.wanted] == [
-        ("simple", 4),
-        ("chain C2 O1 3 moves", 50),
-        ("chain", 7),
-    ]
 
 
 def test_two_cells_of_one_category_share_no_program(make_scene, facts_maker) -> None:
@@ -557,21 +456,6 @@ def test_a_drawing_has_the_golds_and_moves_that_it_is_aimed_at(sampled) -> None:
         assert [program.gold_leaf() for program in last] == [1, 1], "three golds were left"
         found += last
         assert len(set(found)) == len(found), "all distinct, whatever they are aimed at"
-
-
-def test_cells_of_a_category_that_draw_in_turns_share_no_program(sampled) -> None:
-    sampler = sampled[0][2]
-    (cell,) = sampler.wanted.cells_of("simple")
-    seen = Seen()
-    # The same stream twice: without what is seen, both would draw the same.
-    first, second = sampler.drawing(cell, seen), sampler.drawing(cell, seen)
-    assert first is not None
-    assert second is not None
-    found = list(sampler.programs(cell, first, 4))
-    seen.used.clear()
-    found += sampler.programs(cell, second, 4)
-    found += sampler.programs(cell, first, 4)
-    assert len(found) == len(set(found)) == 12
 
 
 @pytest.mark.parametrize(("share", "most"), [(0.0, 0), (0.4, 1), (1.0, 2)])

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from condvln.instructions.balance import (
     MANY_STAGINGS,
     MANY_STAGINGS_IMBALANCE,
-    UNCHANGED,
     informative_weights,
     staging_factors,
 )
@@ -157,11 +156,3 @@ def test_factors_are_the_same_in_any_order_and_finite(seed: int, count: int) -> 
     assert all(2.0**-10 <= factor <= 2.0**10 for own in factors.values() for factor in own)
     order = random.Random(seed).sample(range(table.num_rows), table.num_rows)
     assert staging_factors(table.take(order), WEIGHTS) == factors
-
-
-def test_groups_of_weight_0_keep_their_weights() -> None:
-    stagings = staged(1)
-    factors = staging_factors(table_of(stagings), {**WEIGHTS, "near": 0.0})
-    assert {factor for statement, factor in factors.items() if statement[2] == "near"} == {UNCHANGED}
-    assert len({factor for statement, factor in factors.items() if statement[2] != "near"}) > 5
-    assert staging_factors(table_of([]), WEIGHTS) == {}

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-
-import orjson
-import pyarrow as pa
-
 from condvln.instructions import (
     instruction_id,
     instruction_table,
@@ -34,32 +29,6 @@ def test_programs_survive_their_table(sampled) -> None:
             assert (row["n_conditions"], row["n_leaves"]) == (len(program.conditions), len(program.leaves))
             assert row["n_relational"] == sum(c.qualifier is not None for c in program.conditions)
             assert (row["text"], row["words"]) == (("Go to the sofa.", 4) if name in texts else (None, None))
-
-
-def test_a_table_is_what_arrow_makes_of_the_rows(sampled) -> None:
-    for scene, _, _, programs in sampled:
-        named = [(f"{k}", program) for k, program in enumerate([*programs, *programs[:3]])]
-        table = instructions_with_text(instruction_table(scene.scene_id, named), {"0": "Go."}, {"1": "together"})
-        rows = table.to_pylist()
-        assert table.equals(pa.Table.from_pylist(rows, schema=INSTRUCTIONS))
-        for (_, program), row in zip(named, rows, strict=True):
-            document = program.model_dump(mode="json")
-            assert {name: row[name] for name in document} == document
-        assert [row["group_id"] for row in rows[:3]] == [None, "together", None]
-    assert instruction_table("empty", []).equals(INSTRUCTIONS.empty_table())
-
-
-def test_a_key_is_the_hash_of_the_canonical_json(sampled) -> None:
-    for _, _, _, programs in sampled:
-        for program in programs:
-            document = program.model_dump(mode="json")
-            for condition in document["conditions"]:
-                del condition["definite"]
-            for branch in document["branches"]:
-                if branch["lead"] is None:
-                    del branch["lead"]
-            expected = hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
-            assert program_key(program) == expected
 
 
 def test_ids_name_content(sampled) -> None:

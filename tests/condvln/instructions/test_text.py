@@ -73,10 +73,6 @@ def assert_one_reading(texts, code: str) -> None:
         assert reading_from_tree(tree, words) == reading_of(program)
 
 
-def test_there_is_no_second_reading(texts, code: str) -> None:
-    assert_one_reading(texts[::29], code)
-
-
 def conflicts(source: str) -> str:
     """What lark says of choices that an LALR(1) parser of a grammar would have to make."""
     said = io.StringIO()
@@ -133,13 +129,6 @@ def test_texts_are_clean(texts) -> None:
         assert re.fullmatch(r"[^\W_¿]?[\w\s,;:.'?¿()-]*\.", text), text
         assert not re.search(r"\s\s|\s[,;:.?]|[,;:.?]{2}|_|{|}", text), text
         assert all(sentence.lstrip("¿")[0].isupper() for sentence in re.split(r"[.?] ", text)), text
-
-
-@pytest.mark.parametrize("code", ["en"], indirect=True, scope="module")
-def test_english_articles(texts, code: str) -> None:
-    for _, _, text in texts:
-        for article, start in re.findall(r"\b(an?) (\w)", text.lower()):
-            assert (article == "an") == (start in "aeiou"), text
 
 
 def test_wording_is_decided_by_seed_and_id(texts, code: str) -> None:

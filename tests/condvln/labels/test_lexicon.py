@@ -68,15 +68,6 @@ def test_synonymy_between_labels_is_symmetric() -> None:
             assert room.label in vocabulary.room(other).synonyms, (room.label, other)
 
 
-def test_overlap_is_reflexive_and_symmetric() -> None:
-    for label in vocabulary.labels:
-        assert label in vocabulary.overlapping(label)
-        assert all(label in vocabulary.overlapping(other) for other in vocabulary.overlapping(label)), label
-    for label in vocabulary.room_labels:
-        assert label in vocabulary.overlapping_rooms(label)
-        assert all(label in vocabulary.overlapping_rooms(o) for o in vocabulary.overlapping_rooms(label)), label
-
-
 def test_overlap_is_words_shared_or_kinship() -> None:
     for a in ENTRIES:
         for b in ENTRIES:
@@ -128,22 +119,14 @@ def test_what_text_may_name_is_a_countable_singular_object() -> None:
     ("raw", "family", "label"),
     [
         ("tv_screen", "replicacad", "television"),
-        ("tv_monitor", "mp3d", "television"),
         ("Television", "procthor", "television"),
-        ("tv", "gibson", "television"),
         ("couch", "gibson", "sofa"),
-        ("Sofa", "ithor", "sofa"),
-        ("sofa", "mp3d", "sofa"),
         ("Fridge", "robothor", "refrigerator"),
-        ("refrigerator", "replicacad", "refrigerator"),
         ("HousePlant", "procthor", "plant"),
-        ("potted plant", "gibson", "plant"),
-        ("indoor_plant", "replicacad", "plant"),
         ("window#frame", "mp3d", "window frame"),
         ("GarbageCan", "procthor", "trash can"),
         ("bin", "replicacad", "trash can"),
         ("CounterTop", "procthor", "counter"),
-        ("kitchen_counter", "replicacad", "counter"),
         ("chestOfDrawers_01", "replicacad", "dresser"),
         ("coffee table", "a family of the user's", "coffee table"),
     ],
@@ -265,12 +248,8 @@ def test_what_a_nameless_thing_may_be_is_a_label_or_anything() -> None:
     ("raw", "label"),
     [
         ("ObjaTrashCan", "trash can"),
-        ("ObjaGarbageCan", "trash can"),
         ("ObjaCouch", "sofa"),
-        ("ObjaTvStand", "television stand"),
         ("ObjaCellularTelephone", "cell phone"),
-        ("ObjaCupboard", "cabinet"),
-        ("ObjaMicrowaveOven", "microwave"),
     ],
 )
 def test_objaverse_types_go_by_the_thing_that_they_name(raw: str, label: str) -> None:

@@ -17,7 +17,7 @@ from condvln.navigation.navmesh_file import write_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import make_layout
-from condvln.samples.floor_mesh import navmesh_of
+from tests.condvln.voxelised import voxelised
 
 PROGRAM = """
 import sys
@@ -32,7 +32,7 @@ print(digest(Pathfinder.load(sys.argv[1]), int(sys.argv[3])))
 def navmesh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A made apartment with islands on its furniture, as a file."""
     path = tmp_path_factory.mktemp("navmesh") / "made.navmesh"
-    write_navmesh(path, navmesh_of(make_layout(4, 5), NavMeshSettings(include_static_objects=True), "recast"))
+    write_navmesh(path, voxelised(make_layout(4, 5), NavMeshSettings(include_static_objects=True)))
     return path
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from condvln.navigation.follower import RXR, Follower
-from condvln.navigation.pathfinder import HitRecord, Pathfinder
+from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.protocol import MultiGoalShortestPath, ShortestPath
 from schemas.errors import UsageError
 
@@ -27,13 +27,6 @@ def pathfinder(request: pytest.FixtureRequest, real_data: Path) -> Pathfinder:
     assert loaded.is_loaded
     loaded.seed(42)
     return loaded
-
-
-def test_settings_and_area_survive_a_file(pathfinder: Pathfinder, tmp_path: Path) -> None:
-    pathfinder.save(tmp_path / "round_trip.navmesh")
-    again = Pathfinder.load(tmp_path / "round_trip.navmesh")
-    assert again.nav_mesh_settings == pathfinder.nav_mesh_settings
-    assert again.navigable_area == pathfinder.navigable_area
 
 
 def test_a_pathfinder_is_empty_until_a_navmesh_is_loaded(pathfinder: Pathfinder, tmp_path: Path) -> None:
@@ -83,15 +76,6 @@ def test_random_points_near_are_the_seeds(pathfinder: Pathfinder) -> None:
     assert len(np.unique(drawn[0], axis=0)) == 5
     one, other = (pathfinder.get_random_navigable_point_near(centre, 3.0, rng=3) for _ in range(2))
     np.testing.assert_array_equal(one, other)
-
-
-def test_obstacles(pathfinder: Pathfinder) -> None:
-    point = pathfinder.get_random_navigable_point()
-    assert 0.0 <= pathfinder.distance_to_closest_obstacle(point) < math.inf
-    hit = pathfinder.closest_obstacle_surface_point(point, max_search_radius=5.0)
-    assert isinstance(hit, HitRecord)
-    assert len(hit.hit_pos) == len(hit.hit_normal) == 3
-    assert math.isfinite(hit.hit_dist)
 
 
 def test_a_path_without_a_way(pathfinder: Pathfinder) -> None:

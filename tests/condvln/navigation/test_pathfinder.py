@@ -51,19 +51,6 @@ def test_geodesic_on_the_l_is_the_closed_form(l_shape: Pathfinder, ax: float, az
     assert path.geodesic_distance == pytest.approx(lengths.sum(), rel=1e-6, abs=2e-4)
 
 
-def test_path_bends_at_the_reflex_corner(l_shape: Pathfinder) -> None:
-    path = l_shape.find_path([3.5, 0, 1.0], [1.0, 0, 3.5])
-    np.testing.assert_array_equal(path.points, np.float32([[3.5, 0, 1], [2, 0, 2], [1, 0, 3.5]]))
-    assert path.geodesic_distance == pytest.approx(np.hypot(1.5, 1) + np.hypot(1, 1.5), rel=1e-6)
-
-
-def test_winding_of_the_input_does_not_matter(l_shape: Pathfinder) -> None:
-    other = Pathfinder.from_tile(tile_of_polygons(VERTICES, [[4, 3, 2, 1, 0], [6, 5, 3, 4]]))
-    assert other.find_path([3.5, 0, 1.0], [1.0, 0, 3.5]).geodesic_distance == pytest.approx(
-        l_shape.find_path([3.5, 0, 1.0], [1.0, 0, 3.5]).geodesic_distance
-    )
-
-
 def test_length_counts_height() -> None:
     """A ramp of 3 m rising 4 m: its middle line is 5 m long."""
     ramp = Pathfinder.from_tile(tile_of_polygons([[0, 0, 0], [3, 4, 0], [3, 4, 1], [0, 0, 1]], [[0, 1, 2], [0, 2, 3]]))
@@ -110,18 +97,6 @@ def test_navigability_tolerances(l_shape: Pathfinder) -> None:
     assert l_shape.is_navigable([1, 0.51, 1], max_y_delta=0.6)
     assert l_shape.is_navigable([-0.009, 0, 1])
     assert not l_shape.is_navigable([-0.011, 0, 1])
-
-
-def test_several_goals_are_as_near_as_the_nearest(l_shape: Pathfinder) -> None:
-    start = [3.5, 0, 1.0]
-    goals = np.array([[1.0, 0, 3.5], AWAY, [0.2, 0, 0.2], [2.5, 0, 0.5]])
-    alone = [l_shape.geodesic_distance(start, goal) for goal in goals]
-    path = l_shape.find_multi_goal_path(start, goals)
-    assert path.geodesic_distance == min(alone) == l_shape.geodesic_distance(start, goals)
-    assert path.closest_goal == 3
-    np.testing.assert_array_equal(path.points, l_shape.find_path(start, goals[3]).points)
-    assert not l_shape.find_multi_goal_path(start, [AWAY, AWAY]).found
-    assert not l_shape.find_multi_goal_path(start, np.empty((0, 3))).found
 
 
 def test_steps_against_a_wall(l_shape: Pathfinder) -> None:

@@ -31,34 +31,6 @@ def test_paths_are_no_shorter_than_the_crow_flies(home: Pathfinder, home_points:
     assert path.geodesic_distance >= np.linalg.norm(end.astype(np.float64) - start) - 1e-3
 
 
-@given(which, which)
-def test_corners_of_a_path_lie_on_the_floor(home: Pathfinder, home_points: np.ndarray, i: int, j: int) -> None:
-    path = home.find_path(home_points[i], home_points[j])
-    if path.found:
-        assert home.are_navigable(path.points).all()
-
-
-@given(which, which, which)
-def test_a_detour_is_no_short_cut(home: Pathfinder, home_points: np.ndarray, i: int, j: int, k: int) -> None:
-    """The triangle inequality, with the slack of a corridor that A* chose over polygons (at most 1.32, measured)."""
-    a, b, c = home_points[[i, j, k]]
-    through = home.geodesic_distance(a, b) + home.geodesic_distance(b, c)
-    if np.isfinite(through):
-        assert home.geodesic_distance(a, c) <= 1.4 * through + 1e-3
-
-
-@given(which, shift)
-def test_snapping_settles(home: Pathfinder, home_points: np.ndarray, i: int, by: tuple[float, float, float]) -> None:
-    snapped = home.snap_point(home_points[i] + np.float32(by))
-    if np.isnan(snapped).any():
-        assert np.isnan(snapped).all()
-        return
-    assert home.is_navigable(snapped)
-    np.testing.assert_allclose(home.snap_point(snapped), snapped, atol=1e-3)
-    island = home.get_island(snapped)
-    np.testing.assert_allclose(home.snap_point(snapped, island), snapped, atol=1e-3)
-
-
 @given(which, shift, st.booleans())
 def test_steps_stay_on_the_island_and_near_their_aim(
     home: Pathfinder, home_points: np.ndarray, i: int, by: tuple[float, float, float], sliding: bool
@@ -98,18 +70,6 @@ def test_batches_change_no_number(home: Pathfinder, home_points: np.ndarray, pai
     np.testing.assert_array_equal(home.geodesic_distances(starts, ends[0]), table[:, 0])
     for path, single in zip(home.find_paths(starts, ends), map(home.find_path, starts, ends), strict=True):
         np.testing.assert_array_equal(path.points, single.points)
-
-
-@given(which, st.lists(which, min_size=2, max_size=8))
-def test_the_nearest_goal_is_the_nearest(home: Pathfinder, home_points: np.ndarray, i: int, goals: list[int]) -> None:
-    start, ends = home_points[i], home_points[goals]
-    path = home.find_multi_goal_path(start, ends)
-    distances = home.geodesic_distances(start, ends)
-    assert np.float32(path.geodesic_distance) == distances.min()
-    if path.found:
-        assert distances[path.closest_goal] == distances.min()
-    else:
-        assert path.closest_goal == -1
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -108,25 +108,6 @@ def test_range(distance: float, seen: bool) -> None:
     assert visible_points(nothing, [[1, 1, 1]], [[1 + distance, 1, 1]])[0, 0] == seen
 
 
-@pytest.mark.parametrize("kind", ["mesh", "box"])
-@pytest.mark.parametrize(
-    ("eye", "faces"),
-    [([9, 0, 0], ["+x"]), ([0, -9, 0], ["-y"]), ([9, 9, 0], ["+x", "+y"]), ([-9, 9, 9], ["-x", "+y", "+z"])],
-)
-def test_a_solid_shows_the_faces_turned_to_the_eye(kind: str, eye, faces) -> None:
-    low, high = np.array([-1.0, -0.5, -0.25]), np.array([1.0, 0.5, 0.25])
-    around = mesh_of(box_mesh(low, high)) if kind == "mesh" else boxes_of([[low, high]])
-    samples = box_samples((low + high) / 2, (high - low) / 2, count=300, seed=2)
-    # Within TOUCH of an edge a sample of the next face counts as seen.
-    samples = samples[((np.abs(samples) > high - 0.05).sum(axis=1)) == 1]
-    turned = np.zeros(len(samples), bool)
-    for face in faces:
-        axis = "xyz".index(face[1])
-        turned |= samples[:, axis] == (high if face[0] == "+" else low)[axis]
-    seen = visible_points(around, [eye], samples, FAR, own=np.zeros(len(samples), int))[0]
-    np.testing.assert_array_equal(seen, turned)
-
-
 def test_a_box_around_the_eye_or_the_point_hides_nothing() -> None:
     shelf = [[0, 0, -3], [2, 2, -2]]
     book, eye = np.array([[1.0, 1.0, -2.8]]), np.array([[1.0, 1.0, 0.0]])
@@ -298,11 +279,6 @@ def test_a_box_with_headroom_hides_nothing_straight_above_it(point, half, turn, 
     solid, frame = (BoxOccluders([[0, 0, 0]], [half], [axes], room) for room in (None, [headroom]))
     hidden = bool(solid.hidden(eyes, np.array([point]))[0])
     assert bool(frame.hidden(eyes, np.array([point]))[0]) == (hidden and margins.min() >= 0.01)
-
-
-def test_headroom_fits_the_boxes() -> None:
-    with pytest.raises(UsageError, match="headrooms"):
-        BoxOccluders([[0, 0, 0]], [[1, 1, 1]], None, [0.5, 0.5])
 
 
 def test_rays_meet_the_plane_of_their_triangle_within_its_corners() -> None:

@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 
 from condvln.relations.directions import (
     CANONICAL,
-    COINCIDENT,
-    COMPASS,
     SECTORS,
     canonical_codes,
     sector_deviation,
@@ -74,15 +72,3 @@ def code(azimuth: float, elevation: float, dy: float) -> int:
 )
 def test_level_is_open_at_both_ends(elevation: float, predicate: str) -> None:
     assert CANONICAL[code(10.0, elevation, np.sign(elevation))] == predicate
-
-
-def test_pairs_without_azimuth_are_above_each_other_or_nothing() -> None:
-    assert CANONICAL[code(np.nan, 90.0, 0.001)] == "up of"
-    assert CANONICAL[code(np.nan, -90.0, -0.001)] == "down of"
-    assert code(np.nan, 0.0, 0.0) == COINCIDENT
-
-
-def test_names() -> None:
-    assert len(set(CANONICAL)) == len(CANONICAL) == 26
-    assert CANONICAL[: len(COMPASS)] == COMPASS
-    assert {"north-west-and-down of", "south-and-up of"} <= set(CANONICAL)

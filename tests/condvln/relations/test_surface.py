@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +14,8 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 from condvln.formats.glb import GlbGeometry
-from condvln.relations.metrics import pair_metrics
-from condvln.relations.solids import BoxSolid, MeshSolid, is_its_aabb, solid_distance, surface_distances
-from condvln.scene import OrientedBox, RoomArrays, SceneObject
+from condvln.relations.solids import BoxSolid, MeshSolid, is_its_aabb, solid_distance
+from condvln.scene import OrientedBox, SceneObject
 from condvln.scene.boxes import placement, transform_points
 from condvln.scene.meshes import WorldMesh
 
@@ -155,34 +154,3 @@ def test_a_box_turned_by_right_angles_is_axis_aligned(
     np.testing.assert_allclose(extent[1] - extent[0], 2 * half[np.argsort(axes)], atol=1e-12)
     item = make("a", box.center, half[np.argsort(axes)])
     assert is_its_aabb(replace(item, obb=OrientedBox(box.center, half, box.rotation)), None)
-
-
-def room_surface(room: RoomArrays, within: float, **meshes: WorldMesh) -> tuple[np.ndarray, np.ndarray]:
-    aabb = pair_metrics(room.centers, room.aabb_min, room.aabb_max, room.radius).aabb
-    return aabb, surface_distances(room, aabb, within, (lambda o: meshes.get(o.object_id)) if meshes else None)
-
-
-def test_boxes_of_a_room(furnished: list[SceneObject], room_of: Callable[[Sequence[SceneObject]], RoomArrays]) -> None:
-    aabb, surface = room_surface(room_of(furnished), 1.15)
-    asked = aabb <= 1.15
-    np.testing.assert_array_equal(
-        ~np.isnan(surface) | np.eye(len(aabb), dtype=bool), asked | np.eye(len(aabb), dtype=bool)
-    )
-    # Boxes stand on whole millimetres, so rounding the closed form is all there is.
-    np.testing.assert_array_equal(surface[asked], np.round(aabb[asked], 3))
-    np.testing.assert_array_equal(surface, surface.T)
-    assert (np.diag(surface) == 0).all()
-
-
-def test_a_mesh_is_further_than_its_box(
-    make: Callable[..., SceneObject], room_of: Callable[[Sequence[SceneObject]], RoomArrays]
-) -> None:
-    """Two opposite corners of boxes are cut off: boxes touch, surfaces are apart by the diagonal of the cut."""
-    room = room_of([make("a", (0, 0, 0), (0.5, 0.5, 0.5)), make("b", (1, 1, 1), (0.5, 0.5, 0.5))])
-    vertices = np.array([[-0.5, -0.5, -0.5], [0.5, -0.5, -0.5], [-0.5, 0.5, -0.5], [-0.5, -0.5, 0.5]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
-    corner = WorldMesh(vertices, faces, True)
-    aabb, surface = room_surface(room, 1.15, a=corner)
-    assert aabb[0, 1] == 0.0
-    # From the corner (0.5, 0.5, 0.5) of b to the plane x + y + z = −0.5.
-    assert surface[0, 1] == round(2 / np.sqrt(3), 3)

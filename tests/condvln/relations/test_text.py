@@ -53,50 +53,38 @@ GAP = 2 * HALF  # of centres of touching boxes
     ("predicate", "center", "status"),
     [
         ("near", (0.5 + GAP, 0, 0), 1),
-        ("near", (0.501 + GAP, 0, 0), 0),
         ("near", (2.249 + GAP, 0, 0), 0),
         ("near", (2.250 + GAP, 0, 0), -1),
-        ("near", (0.3 + GAP, 0.25 + GAP, 0), 1),
         ("near", (0.3 + GAP, 0.251 + GAP, 0), 0),  # too far above
         ("near", (2.249 + GAP, 3, 0), 0),  # denied by the distance along the ground
-        ("near", (0, 9, 0), 0),
         ("near", (0, 0.2 + GAP, 0), 1),
         ("near", (0, 0.149 + GAP, 0), 0),  # it may rest there
         ("near", (0.151, 0.1 + GAP, 0), 1),
         ("near", (0.150, 0.1 + GAP, 0), 0),  # a quarter of it over the other, which may carry it
         ("near", (0.1, 0, 0), 1),  # half in the other
         ("near", (0.099, 0, 0), 0),
-        ("near", (9, 0, 0), -1),
         ("far from", (3.45 + GAP, 0, 0), 1),
         ("far from", (3.449 + GAP, 0, 0), 0),
         ("far from", (2.551 + GAP, 0, 0), 0),
         ("far from", (2.55 + GAP, 0, 0), -1),
-        ("far from", (0, 0, 0), -1),
         ("higher than", (2, 0.45, 0), 1),
         ("higher than", (2, 0.449, 0), 0),
-        ("higher than", (2, 0, 0), 0),  # level
         ("higher than", (2, -0.049, 0), 0),
         ("higher than", (2, -0.05, 0), -1),
-        ("higher than", (2, -1.6, 0), -1),
         ("higher than", (2, -1.601, 0), 0),  # less than 0.3 m off the floor
         ("lower than", (2, -0.45, 0), 1),
         ("lower than", (2, -0.449, 0), 0),
         ("lower than", (2, 0.049, 0), 0),
         ("lower than", (2, 0.05, 0), -1),
-        ("lower than", (2, 5, 0), -1),
         ("above", (0, 0.45, 0), 1),
         ("above", (0, 0.449, 0), 0),
         ("above", (0, 0.15, 0), 0),  # it may rest there
-        ("above", (0, -0.45, 0), -1),
         ("above", (0.201, 0.15, 0), -1),  # footprints apart, so that it can't
-        ("above", (0.201, 0.151, 0), 0),
         ("above", (0.16, 0.45, 0), 1),  # a footprint overlap of exactly 0.2
         ("above", (0.161, 0.45, 0), 0),
         ("above", (0.499, 0.45, 0), 0),
         ("above", (0.5, 0.45, 0), -1),  # footprints 0.3 m apart
         ("below", (0, -0.45, 0), 1),
-        ("below", (0, -0.449, 0), 0),
-        ("below", (0, -0.15, 0), 0),  # the other may rest on it
         ("below", (0.38, -0.45, 0.44), -1),
         ("on", (0.1, 0.2, 0), 0),  # as large as the other
         ("on", (0.201, 0.2, 0), -1),
@@ -108,15 +96,10 @@ GAP = 2 * HALF  # of centres of touching boxes
         ("east of", (10, 0, 2.680), 0),
         ("east of", (10, 0, 9.999), 0),  # tan 45° = 1, from the nearest point of a footprint 0.2 m wide
         ("east of", (10, 0, 10.001), -1),
-        ("east of", (10, 4.142, 0), 1),  # tan 22.5° = 0.41421
-        ("east of", (10, 4.143, 0), 0),
-        ("east of", (-1, 3, 0), -1),
         ("north of", (0, 0, -1), 1),
         ("south of", (0, 0, -1), -1),
         ("north-west of", (-1, 0, -1), 1),
-        ("south-east of", (1, 0, 1), 1),
         ("west of", (0, 0, 0), 0),
-        ("west of", (0, 1, 0), 0),
     ],
 )
 def test_thresholds(
@@ -181,19 +164,6 @@ def test_opposites_are_usable_together(furnished: list[SceneObject], room_of: Ro
     for predicate, opposite in opposites:
         np.testing.assert_array_equal(facts.status[predicate], facts.status[opposite].T, err_msg=predicate)
         np.testing.assert_allclose(facts.margin[predicate], facts.margin[opposite].T, atol=1e-9, err_msg=predicate)
-
-
-def test_a_larger_margin_is_safer(make: Maker, room_of: RoomOf) -> None:
-    for predicate, steps in {
-        "near": [(0.7, 0, 0), (0.5, 0, 0), (0.3, 0, 0)],
-        "far from": [(3.8, 0, 0), (5, 0, 0), (9, 0, 0)],
-        "above": [(0.05, 0.45, 0), (0.05, 0.5, 0), (0, 0.6, 0)],
-        "on": [(0.5, 0, 0), (0.7, 0, 0), (1.5, 0, 0)],
-        "north of": [(0.4, 0, -2), (0.2, 0, -2), (0, 0, -2)],
-    }.items():
-        margins = [facts_of(make, room_of, center).margin[predicate][0, 1] for center in steps]
-        assert margins == sorted(margins), predicate
-        assert margins[0] < margins[-1], predicate
 
 
 @pytest.fixture

@@ -16,7 +16,8 @@ from condvln.navigation.polygon_tile import tile_of_polygons
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import make_layout
 from condvln.samples.floor_mesh import MAX_CORNERS, NAVMESH_HEIGHT, convex_polygons, free_floor, navmesh_of
-from condvln.samples.solid import layout_triangles, piece_corners
+from condvln.samples.solid import piece_corners
+from tests.condvln.voxelised import layout_triangles, voxelised
 
 
 def _area(vertices: np.ndarray, polygon: list[int]) -> float:
@@ -71,7 +72,7 @@ def test_voxelising_the_layout_finds_the_same_floor(seed: int) -> None:
     """Recast, over the triangles of slabs, walls and furniture, knows nothing of how the free floor was computed."""
     layout = make_layout(seed)
     exact = Pathfinder(navmesh_of(layout, NavMeshSettings()))
-    voxels = Pathfinder(navmesh_of(layout, NavMeshSettings(), engine="recast"))
+    voxels = Pathfinder(voxelised(layout, NavMeshSettings()))
     points = exact.get_random_navigable_points(200, np.random.default_rng(0))
     assert points[:, 1] == pytest.approx(NAVMESH_HEIGHT)
     assert voxels.are_navigable(points).mean() > 0.93
@@ -99,16 +100,3 @@ def test_shortest_way_round_a_table_is_the_closed_form() -> None:
     floor = shapely.box(0, 0, 4, 2).difference(shapely.box(1, 0.5, 3, 2))
     path = _pathfinder(floor).find_path((0.5, 0, 1.5), (3.5, 0, 1.5))
     assert path.geodesic_distance == pytest.approx(2 * np.hypot(0.5, 1.0) + 2.0, rel=1e-6)
-
-
-def test_a_square_is_one_polygon_and_two_squares_are_two_islands() -> None:
-    vertices, polygons = convex_polygons(shapely.box(0, 0, 2, 2))
-    assert (len(vertices), len(polygons)) == (4, 1)
-    assert _pathfinder(shapely.union_all([shapely.box(0, 0, 2, 2), shapely.box(3, 0, 5, 2)])).num_islands == 2
-
-
-def test_meshing_depends_on_the_floor_and_not_on_how_it_is_written() -> None:
-    ring = [(0, 0), (4, 0), (4, 3), (2, 3), (2, 5), (0, 5)]
-    turned = shapely.Polygon(ring[3:] + ring[:3]).reverse()
-    for one, other in zip(convex_polygons(shapely.Polygon(ring)), convex_polygons(turned), strict=True):
-        np.testing.assert_array_equal(np.array(one, dtype=object), np.array(other, dtype=object))

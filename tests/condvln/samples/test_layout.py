@@ -12,7 +12,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from condvln.samples import Layout, Yaw, make_layout, make_layouts
+from condvln.samples import Layout, make_layout, make_layouts
 from condvln.samples.catalogue import catalogue
 from condvln.samples.floor_mesh import free_floor
 from condvln.samples.furnishing import MAX_OBJECTS, MIN_OBJECTS
@@ -160,13 +160,3 @@ def test_repeated_labels_and_room_types_call_for_qualifiers(many: list[Layout]) 
     assert sum(len({room.label for room in layout.rooms}) < len(layout.rooms) for layout in many) > 0.2 * len(many)
     assert any(len(room.polygon) == 6 for layout in many for room in layout.rooms)
     assert any(not piece.yaw.square for layout in many for piece in layout.furniture)
-
-
-def test_yaws_are_rotations_that_keep_the_grid() -> None:
-    quarter, turned = Yaw(0, 25), Yaw(24, 7)
-    assert quarter.apply(0, 1) == (1, 0)
-    assert np.allclose(turned.matrix @ turned.matrix.T, np.eye(3))
-    assert np.allclose(turned.turned(quarter).matrix, quarter.matrix @ turned.matrix)
-    assert turned.radians == pytest.approx(np.radians(16.260204708))
-    with pytest.raises(ValueError, match="not a rotation"):
-        Yaw(24, 8)

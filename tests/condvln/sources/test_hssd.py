@@ -13,7 +13,7 @@ from condvln.samples import make_samples
 from condvln.scene import Scene
 from condvln.sources.registry import open_source
 from condvln.sources.source import UNKNOWN_LABEL
-from schemas.errors import ConfigError, InputError
+from schemas.errors import InputError
 
 SCENE = "scenes/made_000.scene_instance.json"
 
@@ -89,17 +89,6 @@ def test_openings_are_no_objects_of_unknown_kind(made: Path) -> None:
     assert all(room.complete for room in scene.rooms)
 
 
-def test_a_scale_stretches_the_model_before_it_is_turned(made: Path) -> None:
-    placed = orjson.loads((made / SCENE).read_bytes())["object_instances"]
-    placed[0]["rotation"] = [1.0, 0.0, 0.0, 0.0]
-    change(made, SCENE, object_instances=placed)
-    name = f"{placed[0]['template_name']}:0"
-    plain = read(made).object_of[name].size
-    placed[0]["non_uniform_scale"] = [2.0, 1.0, 0.5]
-    change(made, SCENE, object_instances=placed)
-    assert read(made).object_of[name].size == pytest.approx(plain * [2.0, 1.0, 0.5], abs=2e-3)
-
-
 def test_without_annotated_regions_the_house_is_one_room(made: Path) -> None:
     """The first release: one lexicon for all scenes, no rooms, another configuration beside the first."""
     config = {
@@ -138,16 +127,3 @@ def test_rows_of_the_table_that_lack_cells_are_passed_over(made: Path) -> None:
     before, lines = labels(read(made)), (made / "semantics/objects.csv").read_text()
     (made / "semantics/objects.csv").write_text(lines + "\n\nlonely\n,,\n,,chair\n")
     assert labels(read(made)) == before
-
-
-def test_a_missing_lexicon_is_said_once_for_all_scenes(made: Path) -> None:
-    (made / "scenes/made_001.scene_instance.json").write_bytes((made / SCENE).read_bytes())
-    regions = made / "semantics/scenes/made_000.semantic_config.json"
-    (made / "semantics/scenes/made_001.semantic_config.json").write_bytes(regions.read_bytes())
-    next(made.glob("semantics/*lexicon.json")).unlink()
-    source = open_source("hssd", made)
-    with pytest.raises(ConfigError, match="none of the 2 scenes can be read: the semantic lexicon file does not exist"):
-        source.handles()
-    # A scene that has a fault of its own is a scene of its own.
-    (made / "scenes/made_001.scene_instance.json").write_bytes(b"{")
-    assert [type(handle.fault).__name__ for handle in source.handles()] == ["MissingFileError", "FormatError"]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from condvln.formats.triangles import Z_UP, PlacedMesh, mesh_triangles
 from condvln.samples.layout import Layout
 from condvln.samples.maker import make_layouts, make_samples
-from condvln.samples.solid import layout_triangles
 from condvln.scene.scene import STRUCTURE, SceneGeometry
 from condvln.sources.registry import open_source
 from schemas.errors import FormatError
+from tests.condvln.voxelised import layout_triangles
 
 F64 = NDArray[np.float64]
 

@@ -233,70 +233,11 @@ def test_a_changed_house_of_a_list_is_stale_alone(root: Path) -> None:
     assert [s for s in before if before[s] != after[s]] == ["hall-1"]
 
 
-@pytest.mark.parametrize("text", ["[", "[{}", "[{},]", "[{}] {}", "[" * 100_000, "[" + "9" * 5000 + "]"])
-def test_a_broken_list_is_one_fault(root: Path, text: str) -> None:
-    (root / "hall.json").write_text(text)
-    (root / "a.json").write_text(json.dumps(house()))
-    sound, broken = open_source("procthor", root).handles()
-    assert (sound.scene_id, sound.fault) == ("a", None)
-    assert isinstance(broken.fault, FormatError)
-    assert "hall.json" in str(broken.fault)
-
-
-def test_houses_before_the_break_of_a_list_are_read(root: Path) -> None:
-    (root / "hall.json").write_text(json.dumps([house(), house()])[:-1] + ', {"rooms": [')
-    source = open_source("procthor", root)
-    assert [(h.scene_id, h.fault is None) for h in source.handles()] == [
-        ("hall", False), ("hall-0", True), ("hall-1", True)
-    ]  # fmt: skip
-    assert len(source.read("hall-1").objects) == 3
-    with pytest.raises(FormatError, match="entry 2: the file is truncated"):
-        source.read("hall-2")
-
-
-def test_bytes_after_the_gzip_data_cost_no_house(root: Path) -> None:
-    write(root, house(), house(), name="a.jsonl.gz")
-    with (root / "a.jsonl.gz").open("ab") as file:
-        file.write(b"more")
-    source = open_source("procthor", root)
-    assert [(h.scene_id, h.fault) for h in source.handles()] == [("a-0", None), ("a-1", None)]
-    assert len(source.read("a-1").objects) == 3
-    assert source.passed_over() == [("a.jsonl.gz#end", "bytes after the end of the gzip data are ignored")]
-
-
 def test_a_name_that_is_not_read_is_said(root: Path) -> None:
     (root / "a.json.gz").write_bytes(gzip.compress(json.dumps(house()).encode()))
     source = write(root, house())
     source.handles()
     assert source.passed_over() == [("a.json.gz", "its name does not end in .json, .jsonl or .jsonl.gz")]
-
-
-@pytest.mark.parametrize("name", ["a.json", "a.jsonl", "a.jsonl.gz"])
-def test_a_pointer_of_git_lfs_is_named(root: Path, name: str) -> None:
-    write(root, house())
-    (root / name).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
-    fault, sound = open_source("procthor", root).handles()
-    assert sound.fault is None
-    assert "git lfs pull" in str(fault.fault)
-
-
-def test_files_of_one_house_are_found_and_other_json_is_not(root: Path) -> None:
-    (root / "house_8.json").write_text(json.dumps(house()))
-    (root / "notes.json").write_text("{}")
-    source = open_source("procthor", root)
-    assert [h.scene_id for h in source.handles()] == ["house_8"]
-    assert len(source.read("house_8").objects) == 3
-
-
-@pytest.mark.parametrize("cut", [0, 1, 40])
-def test_a_file_of_one_house_that_is_cut_short_is_not_passed_over(root: Path, cut: int) -> None:
-    (root / "house_8.json").write_text(json.dumps(house()))
-    (root / "house_9.json").write_text(json.dumps(house())[:cut])
-    sound, broken = open_source("procthor", root).handles()
-    assert (sound.scene_id, sound.fault) == ("house_8", None)
-    assert broken.scene_id == "house_9"
-    assert isinstance(broken.fault, FormatError)
-    assert broken.fault.where == str(root / "house_9.json")
 
 
 def test_one_changed_line_makes_one_house_stale(root: Path) -> None:
@@ -335,13 +276,6 @@ def test_a_broken_house_is_its_fault_alone(root: Path, change: House_, message: 
         source.read("train-1")
     assert caught.value.where == f"{root / 'train.jsonl'}#1"
     assert len(source.read("train-0").objects) == 3
-
-
-def test_a_line_that_is_no_json_is_a_fault_of_its_house(root: Path) -> None:
-    (root / "a.jsonl").write_bytes(json.dumps(house()).encode() + b"\n{\n" + json.dumps(house()).encode())
-    first, second, third = open_source("procthor", root).handles()
-    assert (first.fault, type(second.fault), third.fault) == (None, FormatError, None)
-    assert second.inputs[0].path == "a.jsonl#1"
 
 
 def test_a_missing_database_is_named(root: Path) -> None:

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import gzip
-import io
 import json
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from condvln.labels import vocabulary
 from condvln.relations import CANONICAL, relate_room
-from condvln.samples import make_layouts, make_samples, write_ai2thor_hab
+from condvln.samples import make_samples
 from condvln.scene import RoomArrays, Scene
 from condvln.sources.family import look_for
 from condvln.sources.registry import open_source
 from condvln.sources.scene_source import Source
-from jobs.generate import run_generate
-from jobs.verify import verify_export
-from jobs.workspace import published
-from schemas.config import Config, InstructionsConfig, SourceConfig, Thresholds
+from schemas.config import Thresholds
 from schemas.errors import ConfigError, FormatError, MissingFileError
 
 SCENES, SEED = 3, 21
@@ -31,7 +26,7 @@ HOUSES = "houses/train.jsonl.gz"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    write_ai2thor_hab(tmp_path, make_layouts(SCENES, SEED))
+    make_samples(tmp_path, "ai2thor-hab", SCENES, SEED)
     return tmp_path
 
 
@@ -144,17 +139,3 @@ def test_what_is_refused(folder: Path) -> None:
         open_source("replicacad", folder / "hab", houses=folder / "houses")
     with pytest.raises(ConfigError, match="folder of houses does not exist"):
         open_source("procthor", folder / "hab", houses=folder / "nowhere")
-
-
-def test_from_the_configuration_to_proven_episodes(folder: Path) -> None:
-    config = Config(
-        name="hab",
-        store=folder / "store",
-        export=folder / "export",
-        sources=(SourceConfig(family="procthor", root=folder / "hab", houses=folder / "houses"),),
-        instructions=InstructionsConfig(per_category={"simple": 4, "chain": 2}),
-    )
-    assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
-    assert published(config).table("episodes").num_rows >= 10
-    assert {r["annotation"] for r in published(config).table("rooms").to_pylist()} == {"dataset"}
-    assert verify_export(config, folder / "export").exit_code == 0

@@ -188,15 +188,6 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("family", sorted(BROKEN))
-def test_the_scene_to_be_broken_is_sound(tmp_path: Path, family: str) -> None:
-    name, document = BROKEN[family]
-    source = write(tmp_path, document, f"{name}.json", family)
-    scene = source.read(name)
-    assert len(scene.objects) == len(document["objects"])
-    assert source.geometry(scene) is not None
-
-
 @pytest.fixture
 def outcomes() -> Iterator[Counter[str]]:
     """Of one property: some of its files are read, and some are refused."""

@@ -177,49 +177,6 @@ def test_what_the_users_zones_leave_out_still_stands(tmp_path: Path) -> None:
 # --- the measure
 
 
-def positions(x: tuple[float, float], z: tuple[float, float]) -> np.ndarray:
-    grid = np.meshgrid(np.arange(x[0], x[1] + 0.1, 0.25), np.arange(z[0], z[1] + 0.1, 0.25))
-    return np.stack(grid, axis=-1).reshape(-1, 2)
-
-
-@pytest.mark.parametrize(("hand", "inset"), [(False, 0.25), (True, 0.5)])
-def test_an_empty_room_is_reached_but_for_its_rim(tmp_path: Path, hand: bool, inset: float) -> None:
-    geometry = drawn(tmp_path, FLOOR)
-    exact = positions((-2 + inset, 2 - inset), (-2 + inset, 2 - inset))
-    assert reachability(geometry, exact, hand) == Reachability(len(exact), len(exact), len(exact))
-    half = exact[exact[:, 0] < 0]
-    found = reachability(geometry, half, hand)
-    assert (found.recall, found.precision) == (1.0, len(half) / len(exact))
-    more = np.concatenate([exact, [[5.0, 5.0], [-2.0, 0.0]]])
-    assert reachability(geometry, more, hand).recall == len(exact) / (len(exact) + 2)
-
-
-def test_the_hand_minds_what_is_high_and_the_body_what_is_low(tmp_path: Path) -> None:
-    free = positions((-1.5, 1.5), (-1.5, 1.5))
-    for height, hands in ((1.35, True), (0.45, False)):
-        geometry = drawn(tmp_path, FLOOR, thing("c", "Cabinet", (0, height, 0), (0.2, 0.2, 0.2), assetId="C"))
-        near = np.linalg.norm(free, axis=1) < 0.3
-        lost_with_hand = len(free) - reachability(geometry, free).both
-        lost_of_body = len(free) - reachability(geometry, free, hand=False).both
-        assert (lost_with_hand > lost_of_body) is hands
-        assert lost_of_body == (0 if hands else near.sum())
-
-
-def test_islands_and_tops_of_furniture_are_not_reached(tmp_path: Path) -> None:
-    bed = thing("b", "Bed", (1, 0.25, 0), (2, 0.5, 4), assetId="Bed_1")
-    wall = thing("w", "Wall", (-1.2, 1.25, 0), (0.1, 2.5, 4))
-    found = reachability(drawn(tmp_path, FLOOR, bed, wall), positions((-0.75, -0.25), (-1.75, 1.75)), hand=False)
-    # The top of the bed is the largest island, and beyond the wall there is a narrower strip of floor.
-    assert found == Reachability(45, 45, 45)
-
-
-def test_nothing_to_stand_on_is_no_error(tmp_path: Path) -> None:
-    geometry = drawn(tmp_path, FLOOR, thing("b", "Bed", (0, 0.4, 0), (4, 0.8, 4), assetId="Bed_1"))
-    found = reachability(geometry, np.array([[0.0, 0.0]]))
-    assert (found.navigable, found.precision, found.recall) == (0, 1.0, 0.0)
-    assert reachability(geometry, np.zeros((0, 2))).recall == 1.0
-
-
 def made_floors(folder: Path, family: str, scenes: int) -> dict[str, Reachability]:
     """Our floor of each made scene against the positions that its maker says are reached."""
     make_samples(folder, family, scenes)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +25,10 @@ from condvln.scene.scene import STRUCTURE, SceneGeometry
 from condvln.verify.footprints import Obstacles, ground_points
 from condvln.verify.proof import find_navmesh
 from condvln.verify.sight import (
-    MANY,
     ODDS,
     OWN_POINTS,
     Eyes,
     Sight,
-    _Points,
     evenly,
     in_front,
     in_range,
@@ -62,12 +59,6 @@ def test_points_lie_on_the_surface_and_as_many_on_equal_areas() -> None:
     assert (evenly(pair, 1000)[:, 1] == 0).sum() == 100
 
 
-def test_a_surface_without_area_has_points() -> None:
-    assert (evenly(np.full((3, 3, 3), 2.0)) == 2.0).all()
-    line = np.array([[[0, 0, 0], [1, 0, 0], [1, 0, 0]]], float)
-    assert (evenly(line)[:, 1:] == 0).all()
-
-
 @pytest.mark.parametrize("least", [0.02, LEAST, 0.2])
 def test_much_is_what_chance_makes_once_in_a_million_looks(least: float) -> None:
     shown, few = np.arange(1, 1000) / 1000, int(np.ceil(least * OWN_POINTS))
@@ -79,47 +70,8 @@ def test_much_is_what_chance_makes_once_in_a_million_looks(least: float) -> None
     assert odds(enough) <= ODDS < odds(enough - 1)
 
 
-def test_of_a_surface_nobody_can_contradict_little_or_all() -> None:
-    assert much(0.0, OWN_POINTS) == 0.0
-    assert much(1.0, OWN_POINTS) > 1.0
-
-
 EYES: F64 = np.zeros((1, 3))
-WIDE = np.array([[-1.0, -1.0, -3.0], [1.0, 1.0, -3.0]])
 """Two corners of a square of 2 m, 3 m ahead: 35° apart."""
-SIDES = (2.5, 4.0)
-
-
-def spread(corners: F64 = WIDE) -> F64:
-    """64 points, by turns at either of two corners."""
-    return np.tile(corners, (32, 1))
-
-
-def seen(own: int, published: int, ours: F64 = WIDE, theirs: F64 = WIDE) -> bool:
-    where = _Points(np.concatenate([spread(ours), spread(theirs)]), 64, np.full(128, -1), LEAST, SIDES)
-    (found,) = where.recognised(np.concatenate([np.arange(64) < own, np.arange(64) < published])[None], EYES)
-    return bool(found)
-
-
-def test_own_points_decide_where_they_are_sure_and_published_ones_between() -> None:
-    enough = round(much(LEAST, 64) * 64)
-    for own, published in product((0, 3, 4, enough - 1), (0, 3, 4, enough - 1)):
-        assert seen(own, published) == (published >= 4), "neither is sure"
-    assert all(seen(enough, published) for published in (0, 3, 64)), "points that miss what is in plain sight"
-    assert not any(seen(own, published) for own in (0, 3) for published in (enough, 64)), "points of one visible spot"
-    assert seen(4, 64)
-
-
-def test_own_rectangles_decide_where_they_are_twice_as_large_or_half_as_large() -> None:
-    def corners(degrees: float) -> F64:
-        return np.array([[0.0, 0.0, -3.0], [3 * np.tan(np.radians(degrees)), 0.6, -3.0]])
-
-    small, fair, large = corners(1.2), corners(2.6), corners(5.1)
-    assert seen(64, 64, fair, fair)
-    assert seen(64, 64, large, small), "published points that miss how large it is"
-    assert not seen(64, 64, fair, small)
-    assert not seen(64, 64, small, fair), "published points that are not on the surface"
-    assert seen(MANY - 1, 64, small, fair), "too few to be sure"
 
 
 @given(
@@ -132,15 +84,6 @@ def test_the_rectangle_is_that_of_the_generator(azimuths: list[int], elevation: 
     points = np.stack([np.sin(a) * np.cos(e), np.sin(e), -np.cos(a) * np.cos(e)], axis=1) * 2.5
     mask = np.array([[k not in hidden for k in range(len(points))]])
     np.testing.assert_allclose(rectangles(EYES, points, mask), visible_extent(EYES, points, mask), atol=1e-9)
-
-
-def test_floors_and_things_known_as_a_point_have_one_set_of_points() -> None:
-    floor = _Points(np.zeros((10, 3)), 0, np.full(10, -1), 0.8)
-    assert [floor.is_covered((np.arange(10) < k)[None]) for k in (0, 7, 8, 10)] == [False, False, True, True]
-    halves = np.array([np.arange(10) < 4, np.arange(10) >= 6])
-    assert floor.is_covered(halves), "each point from some place"
-    point = _Points(np.array([[0.0, 0.0, -1.0]]), 0, np.full(1, -1), LEAST, SIDES)
-    assert not point.recognised(np.array([[True]]), EYES)[0], "a point has no size"
 
 
 # -- looks: an eye at x = -1, a chest at x = 1, a vase behind it at x = 3 ---------------------------------------------

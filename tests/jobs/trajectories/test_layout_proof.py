@@ -221,16 +221,13 @@ def test_sound_layouts_have_no_fault(layout: str, made: Path, wide: Path) -> Non
 def test_a_layout_that_the_record_does_not_name_is_a_fault(copy: Path) -> None:
     """Else a damaged layout passes once its name is gone from the record."""
     record = json.loads((copy / "trajectories.json").read_bytes())
-    walks = rows(copy, "trajectories")
-    assert prove_layouts(copy, record, walks, write_layout).faults == []
-    for name in set(record["layouts"]) - {"streamvln"}:
-        fewer = {**record, "layouts": [one for one in record["layouts"] if one != name]}
-        assert prove_layouts(copy, fewer, walks, write_layout).faults == [
-            ("", f"{name}: the folder is there, but the record does not name this layout")
-        ]
-    more = {**record, "layouts": [*record["layouts"], "other"]}
-    assert prove_layouts(copy, more, walks, write_layout).faults == [
-        ("", "other: the record names a layout that is not known here")
+    found = prove_layouts(copy, {**record, "layouts": ["other"]}, rows(copy, "trajectories"), write_layout).faults
+    assert sorted(what for _, what in found) == [
+        *(
+            f"{name}: the folder is there, but the record does not name this layout"
+            for name in sorted({*record["layouts"]} - {"streamvln"})
+        ),
+        "other: the record names a layout that is not known here",
     ]
 
 

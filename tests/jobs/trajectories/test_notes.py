@@ -13,7 +13,7 @@ from condvln.sensors.textures import decoders
 from factory.stage import Unit
 from jobs.stages import trajectories as stages
 from jobs.stages.trajectories import FrameStage
-from jobs.trajectories import Request, make_trajectories, note_lines
+from jobs.trajectories import Request, make_trajectories
 from jobs.trajectory_units import other_decoders
 from schemas.config import TrajectoryConfig
 from tests.jobs.trajectories.made import TINY, proven
@@ -83,13 +83,3 @@ def test_another_decoder_is_named(asked: Request, made: Path, recipe: Path, tmp_
     assert said in proven(asked, theirs, render_every=0).lines
     assert not other_decoders({}, decoders())
     assert not other_decoders(decoders(), decoders())
-
-
-def test_notes_are_told_once_with_their_scenes_and_not_without_end() -> None:
-    notes = {f"made/{k:02d}": ["of all", *([f"of {k}"] if k < 11 else [])] for k in range(12)}
-    lines = note_lines(notes)
-    assert lines[0] == "made/00, made/01, made/02 and 9 more scenes: of all"
-    assert lines[1] == "made/00: of 0"
-    assert lines[-1] == "… and 2 more notes, see notes in trajectories.json"
-    assert len(lines) == 11
-    assert note_lines({}) == []

@@ -94,16 +94,6 @@ def test_images_unlike_the_recipe_are_counted(asked: Request, recipe: Path, tmp_
     assert not [line for line in report.lines if "the png files" in line]
 
 
-def test_other_encoders_are_named_before_the_work_begins(asked: Request, recipe: Path, tmp_path: Path) -> None:
-    theirs = tmp_path / "theirs"
-    shutil.copytree(recipe, theirs)
-    record = json.loads((recipe / "trajectories.json").read_bytes())
-    record["encoders"] |= {"jpg": "Pillow 11.0"}
-    (theirs / "trajectories.json").write_text(json.dumps(record))
-    report = make_trajectories(again(asked, theirs, tmp_path / "out", plan=True))
-    assert [line for line in report.lines if line.startswith("Pillow 11.0 wrote the jpg files of the recipe")]
-
-
 @pytest.mark.soak
 def test_images_of_another_encoder_are_compared_by_their_pixels(asked: Request, made: Path, tmp_path: Path) -> None:
     """A folder whose images Pillow wrote is proven; another frame's image is a fault."""

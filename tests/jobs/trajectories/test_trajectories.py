@@ -87,29 +87,6 @@ def test_annotations_are_streamvln_s(made: Path) -> None:
         assert entry["id"] == walk["episode_id"]
 
 
-def test_the_other_layouts_name_the_same_images(asked: Request, made: Path, wide: Path) -> None:
-    walks = rows(made, "trajectories")
-    right = {row["trajectory"]: sum(row["repeats"]) for row in walks}
-    steps = [json.loads(line) for line in (made / "navila" / "annotations.json").read_bytes().splitlines()]
-    assert {step["episode_id"] for step in steps} == {row["episode_id"] for row in walks}
-    assert all((made / "images" / step["frames"][-1]).is_file() for step in steps)
-    samples = json.loads((made / "janusvln" / "train.json").read_bytes())
-    assert len(samples) == sum(right.values())
-    for sample in samples:
-        assert sample["conversations"][0]["value"].count("<image>") == len(sample["images"]) <= 9
-    gold = next(row for row in walks if row["kind"] == "direct")
-    linked = sorted((made / "janusvln/trajectory_data/R2R" / asked.split / str(gold["episode_id"])).iterdir())
-    words = {"STOP": 0, "MOVE_FORWARD": 1, "TURN_LEFT": 2, "TURN_RIGHT": 3}
-    for path, action in zip(linked, gold["actions"], strict=True):
-        parts = path.stem.split("_")  # as the project's script takes the action from a name
-        name = "_".join(parts[-2:]).upper() if len(parts) > 3 else parts[-1].upper()
-        assert words[name] == action
-    assert linked[2].samefile(made / "images" / gold["trajectory"] / "rgb" / "003.jpg")
-    talks = json.loads((wide / "uninavid" / "annotations.json").read_bytes())
-    assert all((wide / "uninavid" / talk["video"]).is_file() and "NAV_ID" in talk["id"] for talk in talks)
-    assert {len(talk["conversations"][1]["value"].split()) for talk in talks} == {4}
-
-
 def test_pairs_of_cameras_are_internvla_n1_s(made: Path) -> None:
     walks = {row["trajectory"]: row for row in rows(made, "trajectories")}
     lines = 0

@@ -84,16 +84,6 @@ def test_static_objects_are_included_as_asked(plate, box) -> None:
     assert not Pathfinder(built).is_navigable([2, 0.2, 2])
 
 
-def test_pathfinders_build_for_themselves(plate, tmp_path: Path) -> None:
-    mesh = plate(0, 0, 4, 4)
-    built = Pathfinder.build(*mesh, NavMeshSettings(agent_radius=0.2), "habitat<=0.3.3")
-    assert built.settings.agent_radius == 0.2
-    built.save(tmp_path / "room.navmesh")
-    loaded = Pathfinder.load(tmp_path / "room.navmesh")
-    assert loaded.navmesh.to_bytes() == built.navmesh.to_bytes()
-    assert loaded.navigable_area == built.navigable_area
-
-
 def test_bad_files(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"room\.glb: the mesh file does not exist"):
         mesh_triangles([tmp_path / "room.glb"])
