@@ -63,7 +63,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 31
+    version: int = 32
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 

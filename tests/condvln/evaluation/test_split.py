@@ -115,7 +115,7 @@ def test_a_sweep_keeps_what_depends_on_the_distance(tasks: list[Task]) -> None:
 def test_rows_are_plain(tasks: list[Task]) -> None:
     rows = evaluate(tasks, [], world).rows()
     assert json.loads(json.dumps(rows, allow_nan=False)) == rows
-    assert rows[0]["episode_id"] == tasks[0].episode_id
+    assert rows[0]["episode_id"] == int(tasks[0].episode_id)
     assert rows[0]["steps"] is None
 
 
