@@ -153,7 +153,8 @@ def pack(store: Store, pipeline: Pipeline, job: PackJob) -> Packed:
             tables.append(found)
     if damaged:
         return Packed(job.table, job.partition, None, tuple(damaged))
-    whole = concatenated(tables, spec, job.table)
+    # with the contract's descriptions of its columns, as metadata of the fields
+    whole = pa.table(concatenated(tables, spec, job.table).columns, schema=spec.schema)
     metadata = {f"{pipeline.name}.table": job.table, f"{pipeline.name}.schema_version": pipeline.schema_version}
     data = parquet_bytes(whole, sort_keys=spec.sort_keys, metadata=metadata)
     store.write(job.path, data)

@@ -147,7 +147,7 @@ class Publisher:
     def _keep(self, snapshot_id: str, name: str, pinned: PinnedTable) -> SharedRecord:
         """Copy a shared table into the snapshot. Unlike a link, the copy survives damage to the original."""
         data = self._store.read(SharedTables.path(name, pinned.hash))
-        path = f"shared/{name}.parquet"
+        path = f"_shared/{name}.parquet"  # readers that take each folder for a table leave out those with "_"
         self._store.write(f"snapshots/{snapshot_id}/{path}", data)
         sha256 = hashlib.sha256(data).hexdigest()
         return SharedRecord(**pinned.model_dump(), path=path, bytes=len(data), sha256=sha256)

@@ -10,6 +10,7 @@ from rich.console import Console
 from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.stage import Unit
+from factory.store import Store
 from jobs.executor import every_node_sees, open_executor
 from jobs.export import alone_in_export, write_export
 from jobs.funnel import add_funnel
@@ -108,7 +109,22 @@ def bring_up_to_date(
             revision=git_revision(),
         )
         log.keep(done)
+    if done.snapshot_id is not None:
+        _keep_views(store, done.snapshot_id)
     return done
+
+
+def _keep_views(store: Store, snapshot_id: str) -> None:
+    """Write ``views.sql`` beside the tables of a snapshot, unless it is there as it should be."""
+    from jobs.query import views_sql  # loads DuckDB
+
+    path, text = f"snapshots/{snapshot_id}/views.sql", views_sql().encode()
+    try:
+        if store.read(path) == text:
+            return
+    except FileNotFoundError:
+        pass
+    store.write(path, text)
 
 
 def add_export(report: Report, config: Config, *, renewed: bool = False) -> bool:

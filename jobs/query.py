@@ -13,13 +13,15 @@ from typing import Any, Final, NamedTuple
 
 import duckdb
 
+from condvln.export.contents import exported_snapshot
+from condvln.export.tables import SPLITS_TABLE
 from condvln.formats.streams import atomic_path
 from jobs.report import Report, Section
 from jobs.workspace import Target
 from schemas.errors import UsageError
 from schemas.tables import TABLES
 
-__all__ = ["QUERIES", "VIEWS", "connect", "list_queries", "query_target"]
+__all__ = ["QUERIES", "VIEWS", "connect", "list_queries", "query_target", "views_sql"]
 
 
 class Statement(NamedTuple):
@@ -48,13 +50,19 @@ WIDE: Final = 12
 LONGEST: Final = 200
 """Characters of an id or a nested value that are printed; ``--json`` and ``--out`` give all."""
 
+_VIEWS_HEAD: Final = """\
+-- The tables of this snapshot and the views of `condvln query`, for DuckDB started in this folder: .read views.sql
+-- Started elsewhere, it finds the files after: SET file_search_path = 'this folder';
+"""
+_SPLITS_NEED: Final = "The table splits is there for a configuration whose export is in place: condvln export CONFIG."
+
 _WRITERS: Final = {".parquet": "PARQUET", ".csv": "CSV", ".json": "JSON", ".jsonl": "JSON"}
 """Formats of ``--out``, by the suffix of the file."""
 
 
 def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
-    """Open an in-memory database that holds a view of each published table, over exactly the files of the snapshot, and
-    the views of VIEWS.
+    """Open an in-memory database that holds a view of each published table, over exactly the files of the snapshot, the
+    views of VIEWS and, where the configuration's export is in place, its table `splits`.
 
     sql : what will be asked; where the store is elsewhere, only the tables that it reads are fetched. All by default.
     """
@@ -67,8 +75,9 @@ def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
         if name in snapshot.manifest.tables and (wanted is None or name in wanted):
             partitions = snapshot.manifest.tables[name].partitions
             paths[name] = [str(folder / part.path) for p in sorted(partitions) for part in partitions[p].parts]
+    splits = _splits_of(target)
     # A query may read these files; others, the network and the settings are not its business.
-    everything = [path for found in paths.values() for path in found]
+    everything = [path for found in (*paths.values(), splits) for path in found]
     connection.execute(f"SET allowed_paths = [{_quoted(everything)}]")
     connection.execute("SET enable_external_access = false")
     for name, found in paths.items():
@@ -79,8 +88,25 @@ def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
     for name, view in VIEWS.items():
         if all(paths.get(table) for table in view.tables):
             connection.execute(f"CREATE VIEW {name} AS {view.sql}")
+    if splits:
+        connection.execute(f"CREATE VIEW splits AS SELECT * FROM read_parquet([{_quoted(splits)}])")
     connection.execute("SET lock_configuration = true")
     return connection
+
+
+def _splits_of(target: Target) -> list[str]:
+    """Return the path of the table `splits` in the configuration's export; none without a file there."""
+    export = None if target.config is None else target.config.export
+    path = None if export is None else export / SPLITS_TABLE
+    return [str(path)] if path is not None and path.is_file() else []
+
+
+def views_sql() -> str:
+    """Return statements that make the views over a snapshot's folder in DuckDB's own shell."""
+    tables = {name: f"SELECT * FROM read_parquet('{name}/*/*.parquet', hive_partitioning = true)" for name in TABLES}
+    made = [f"CREATE OR REPLACE VIEW {name} AS\n{sql};" for name, sql in tables.items()]
+    made += [f"-- {view.about}\nCREATE OR REPLACE VIEW {name} AS\n{view.sql};" for name, view in VIEWS.items()]
+    return "\n".join((_VIEWS_HEAD, *made)) + "\n"
 
 
 def _quoted(paths: Iterable[str]) -> str:
@@ -116,10 +142,23 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
                 return _write(result, out)
             columns, rows = result.columns, result.fetchall()
         except duckdb.Error as error:
-            remedy = f"Tables: {', '.join(TABLES)}. Views: {', '.join(VIEWS)}. Named queries: --list."
+            remedy = f"Tables: {', '.join(TABLES)}. Views: {', '.join(VIEWS)}. Named queries: --list. {_SPLITS_NEED}"
             raise UsageError(str(error).strip(), place="SQL", remedy=remedy) from None
     plain = [[_plain(value) for value in row] for row in rows]
-    return Report({"columns": columns, "rows": plain}, [], _sections(columns, plain))
+    return Report({"columns": columns, "rows": plain}, _outdated(target, sql), _sections(columns, plain))
+
+
+def _outdated(target: Target, sql: str) -> list[str]:
+    """Return a line that says so if a query asks for `splits` and the export is that of another snapshot."""
+    found = _splits_of(target) if "splits" in sql.lower() else []
+    if not found:
+        return []
+    exported, published = exported_snapshot(Path(found[0]).parent), target.snapshot().snapshot_id
+    if exported == published:
+        return []
+    return [
+        f"splits is of the export of snapshot {exported}, the other tables of {published}: run condvln export CONFIG"
+    ]
 
 
 def _sections(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[Section]:

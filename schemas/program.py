@@ -16,6 +16,7 @@ from schemas.base import Frozen
 __all__ = [
     "BEARINGS",
     "CATEGORIES",
+    "PREDICATE_GROUPS",
     "QUALIFIER_ONLY",
     "SHAPES",
     "SUPERLATIVES",
@@ -66,18 +67,41 @@ Predicate = Literal[
 """Predicates that text may use. ``S north of T`` holds iff S lies north of T, ``S left`` iff S lies to the left of an
 agent that stands at the start as the episode begins."""
 
-BEARINGS: Final = ("left", "right", "ahead", "behind")
+PREDICATE_GROUPS: Final[dict[str, tuple[Predicate, ...]]] = {
+    "on": ("on",),
+    "under": ("under",),
+    "inside": ("in",),
+    "near": ("near",),
+    "vertical": ("above", "below"),
+    "between": ("between",),
+    "closest": ("closest to",),
+    "compass": (
+        "east of",
+        "north-east of",
+        "north of",
+        "north-west of",
+        "west of",
+        "south-west of",
+        "south of",
+        "south-east of",
+    ),
+    "bearing": ("left", "right", "ahead", "behind"),
+    "size": ("bigger", "smaller"),
+    "height": ("higher than", "lower than"),
+    "far": ("far from",),
+}
+"""Groups of predicates with similar wording, in order of preference; named as the keys of ``sampling.predicates``."""
+
+BEARINGS: Final = PREDICATE_GROUPS["bearing"]
 """Predicates without an anchor: the direction of an object as seen from the start pose."""
 
-SUPERLATIVES: Final = ("bigger", "smaller")
+SUPERLATIVES: Final = PREDICATE_GROUPS["size"]
 """Predicates without an anchor: one of two objects with the same label."""
 
 QUALIFIER_ONLY: Final = ("under", "closest to", *SUPERLATIVES)
 """Predicates that distinguish a stop from its rivals and that no condition asks for."""
 
-
-_SECTORS: Final = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-_ASKED_EVERYWHERE: Final = frozenset(("near", "far from", *BEARINGS, *(f"{sector} of" for sector in _SECTORS)))
+_ASKED_EVERYWHERE: Final = frozenset(("near", "far from", *BEARINGS, *PREDICATE_GROUPS["compass"]))
 _ASKED_BESIDES: Final = {
     "ithor": frozenset(("on",)),
     "procthor": frozenset(("on", "between", "higher than", "lower than")),

@@ -1,4 +1,5 @@
-"""Arrow schemas of the nine published tables and of the tables of ``condvln trajectories``, read from ``tables.yaml``.
+"""Arrow schemas of the nine published tables, of tables in exports and of those of ``condvln trajectories``, read from
+``tables.yaml``.
 
 Every column carries its description, from which ``docs/data.md`` is made. Every nested value is a typed struct, so that
 DuckDB, Polars and pyarrow read them unaided. Positions of published tables are rounded to 1 mm; those of trajectories
@@ -17,6 +18,7 @@ import yaml
 __all__ = [
     "ABOUT",
     "EPISODES",
+    "EXPORT_TABLES",
     "FUNNEL",
     "INSTRUCTIONS",
     "LEFT_OUT",
@@ -94,6 +96,9 @@ EPISODES: Final = TABLES["episodes"]
 REJECTIONS: Final = TABLES["rejections"]
 FUNNEL: Final = TABLES["funnel"]
 
+EXPORT_TABLES: Final = _schemas("export_tables")
+"""Tables beside the manifests of an export, by name."""
+
 TRAJECTORY_TABLES: Final = _schemas("trajectory_tables")
 """The tables of ``condvln trajectories``, by name."""
 
@@ -104,14 +109,12 @@ TRAJECTORIES: Final = TRAJECTORY_TABLES["trajectories"]
 POSES: Final = TRAJECTORY_TABLES["poses"]
 LEFT_OUT: Final = TRAJECTORY_TABLES["left_out"]
 
-ABOUT: Final[dict[str, str]] = {
-    name: table["about"] for kind in ("tables", "trajectory_tables") for name, table in _DOCUMENT[kind].items()
-}
+_KINDS: Final = ("tables", "export_tables", "trajectory_tables")
+
+ABOUT: Final[dict[str, str]] = {name: table["about"] for kind in _KINDS for name, table in _DOCUMENT[kind].items()}
 """Description of the rows of each table."""
 
 SORT_KEYS: Final[dict[str, tuple[str, ...]]] = {
-    name: tuple(table["sorted_by"])
-    for kind in ("tables", "trajectory_tables")
-    for name, table in _DOCUMENT[kind].items()
+    name: tuple(table["sorted_by"]) for kind in _KINDS for name, table in _DOCUMENT[kind].items()
 }
 """Columns that order the rows of each table; together they are unique."""

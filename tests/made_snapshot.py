@@ -119,6 +119,8 @@ def made_rows(
         "instruction_id": instruction_id,
         "group_id": group,
         "category": category,
+        "depth": shape.depth,
+        "chain": shape.chain,
         "composition": ("C0", "C1", "C2")[rng.integers(3)],
         "observability": (level := ("O0", "O1", "O2", None)[rng.integers(4)]),
         "evidence_in_view": level and level == "O0",

@@ -17,6 +17,7 @@ from condvln.episodes.pool import EpisodePool, PooledEpisode
 from condvln.scene import Room, Scene, round_mm
 from schemas.config import InstructionCell, StepBudget
 from schemas.config.constants import GROUP_SIZE
+from schemas.program import SHAPES
 from schemas.tables import EPISODES, FUNNEL, REJECTIONS
 
 __all__ = [
@@ -29,13 +30,13 @@ __all__ = [
     "with_text",
 ]
 
-TEXT_COLUMNS: Final = ("words", "max_steps", "instruction_text")
+TEXT_COLUMNS: Final = ("depth", "chain", "words", "max_steps", "instruction_text")
 LOOKING_COLUMNS: Final = (
     "looking_path", "looking_length", "looking_actions", "looking_decided", "looking_locations",
 )  # fmt: skip
 """Columns of the looking path; null where there is none."""
 PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS])
-"""Schema of the episodes table without the columns that depend on the wording."""
+"""Schema of the episodes table without the columns that `with_text` adds."""
 
 Row = dict[str, Any]
 
@@ -136,7 +137,7 @@ def _points(values: NDArray[Any]) -> list[dict[str, float]]:
 
 
 def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBudget, steps_per_word: int) -> pa.Table:
-    """Return EPISODES rows: each placement with its text (by episode id), word count and step budget.
+    """Return EPISODES rows: each placement with its text (by episode id), word count, step budget and its tree's shape.
 
     A proportional budget is max(`steps_per_word` × words, 2 × ground-truth actions), as in the paper. In a
     counterfactual group the words of the longest text count, so that all members have the same budget.
@@ -153,7 +154,9 @@ def with_text(placements: pa.Table, texts: Mapping[int, str], max_steps: StepBud
         max(steps_per_word * longest[group_id or episode_id], 2 * steps) if max_steps == "proportional" else max_steps
         for episode_id, group_id, steps in rows
     ]
-    new = dict(zip(TEXT_COLUMNS, (words, budgets, said), strict=True))
+    shapes = [SHAPES[category] for category in placements["category"].to_pylist()]
+    depths, chains = [shape.depth for shape in shapes], [shape.chain for shape in shapes]
+    new = dict(zip(TEXT_COLUMNS, (depths, chains, words, budgets, said), strict=True))
     return pa.table(
         [pa.array(new[f.name], f.type) if f.name in new else placements[f.name] for f in EPISODES], schema=EPISODES
     )

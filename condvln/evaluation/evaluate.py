@@ -82,9 +82,10 @@ class Evaluation:
         return {name: float(values.mean()) if len(values) else float("nan") for name, values in defined.items()}
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one dictionary per episode: id, axes, scores; undefined measures are None."""
-        columns: dict[str, list[Any]] = {"episode_id": list(self.episode_ids)}
+        """Return one dictionary per episode: ids as in the tables, axes, scores; undefined measures are None."""
+        columns: dict[str, list[Any]] = {"episode_id": [int(name) for name in self.episode_ids]}
         columns |= {name: values.tolist() for name, values in self.axes.items()}
+        columns["scene_id"] = [scene.split("/", 1)[1] for scene in columns.pop("scene")]
         columns |= {"gold_leaf": self.gold_leaf.tolist()}
         for name, values in self.scores.items():
             columns[name] = [None if np.isnan(value) else value for value in values.tolist()]

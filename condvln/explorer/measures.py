@@ -12,7 +12,16 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from condvln.relations.decisions import UNITS, bounds_of, deviations, quantities
+from condvln.relations.decisions import (
+    DENIED_BY_ALL,
+    OF_SOME_PIECE,
+    PAIR_PREDICATES,
+    TURNED,
+    UNITS,
+    bounds_of,
+    deviations,
+    quantities,
+)
 from condvln.relations.directions import BEARING_DEGREES, COMPASS, edge_azimuths, sighted
 from condvln.relations.metrics import millimetres, pair_metrics
 from condvln.relations.pieces import Pieces
@@ -30,12 +39,8 @@ _WORDS: Final = {"≤": "at most", "≥": "at least", "<": "less than", ">": "mo
 _DECIMALS: Final = {"m": 2, "°": 1, "%": 0}
 _TOLERANCE: Final = 1e-6
 """Of a comparison with a bound: distances are roots of whole millimetres."""
-_OF_ONE_PIECE: Final = frozenset(("on", "in", "near", "above", "below"))
-"""Predicates that are true of an object of several pieces if they are true of one pair of pieces."""
 _BY_SOURCE: Final = frozenset(("on", "in"))
 """Predicates that the source may affirm or deny where boxes do not decide."""
-_ON_ALL: Final = frozenset(("higher than", "lower than", *COMPASS))
-"""Predicates that are false only if every criterion says so; for the others, one criterion is enough."""
 
 _SHOWN: Final = {"m": (1.0, "m"), "mm": (0.001, "m"), "share": (100.0, "%"), "°": (1.0, "°")}
 """Factor and unit with which the page shows the units of quantities."""
@@ -48,10 +53,22 @@ def _said() -> dict[str, Any]:
 
 
 def said_of(predicate: str) -> Mapping[str, Any]:
-    """Return how the page words a predicate: its "rule", and its "quantities" by name; both empty if it has none."""
+    """Return how the page words a predicate: its "rule", and its "quantities" by name. Without words in
+    ``predicates.yaml``, the bounds of a predicate between two objects are said as they are; others have none.
+    """
     kind = "compass" if predicate in COMPASS else "bearing" if predicate in BEARING_DEGREES else predicate
-    found: Mapping[str, Any] = _said().get(kind, {"rule": "", "quantities": {}})
-    return found
+    return _said().get(kind) or _said_by_bounds(predicate)
+
+
+def _said_by_bounds(predicate: str) -> Mapping[str, Any]:
+    if predicate not in PAIR_PREDICATES:
+        return {"rule": "", "quantities": {}}
+    bounds = bounds_of(predicate, Thresholds())
+    sides = [
+        ", ".join(f"{one.quantity} {_WORDS[side[0]]} {side[1]:g} {UNITS[one.quantity]}" for one, side in found if side)
+        for found in ([(one, one.true) for one in bounds], [(one, one.false) for one in bounds])
+    ]
+    return {"rule": "; false: ".join(filter(None, sides)), "quantities": {one.quantity: one.quantity for one in bounds}}
 
 
 @dataclass(frozen=True)
@@ -173,7 +190,7 @@ class RoomMeasures:
         way = predicate.removesuffix(" of")
         if predicate in COMPASS:
             measured = measured | deviations(self._azimuths, predicate)
-        if predicate in ("lower than", "below"):
+        if predicate in TURNED:
             i, j = j, i
         found = []
         for quantity, true, false in bounds_of(predicate, self._t, denied=True):
@@ -245,7 +262,7 @@ def decided(predicate: str, pairs: Sequence[Sequence[Criterion]], truth: bool) -
     pairs = [pair for pair in pairs if pair]
     if not pairs:
         return {}
-    one_is_enough = predicate in _OF_ONE_PIECE if truth else predicate == "far from"
+    one_is_enough = predicate in OF_SOME_PIECE if truth else predicate == "far from"
     pick = max if one_is_enough else min
     pair = pick(pairs, key=lambda one: _closest_call(predicate, one, truth)[0])
     found_at = _closest_call(predicate, pair, truth)[1]
@@ -264,7 +281,7 @@ def _closest_call(predicate: str, pair: Sequence[Criterion], truth: bool) -> tup
     """Return the closeness and the index of the criterion that decides: the tightest one where all must hold, else the
     clearest one.
     """
-    all_deny = not truth and predicate in _ON_ALL  # each by the same quantity, so that the differences compare
+    all_deny = not truth and predicate in DENIED_BY_ALL  # each by the same quantity, so that the differences compare
     asked = [
         (one.slack(truth) if all_deny else one.closeness(truth), k)
         for k, one in enumerate(pair)

@@ -21,9 +21,11 @@ import pyarrow.parquet as pq
 
 from condvln.sources.gibson import GibsonSource, verified_twin
 from schemas.errors import FormatError, MissingFileError, StoreError
+from schemas.tables import EXPORT_TABLES
 
 __all__ = [
     "BATCH_ROWS",
+    "SPLITS_TABLE",
     "FolderTables",
     "JoinedScene",
     "NavmeshBytes",
@@ -32,6 +34,7 @@ __all__ = [
     "joined_by_scene",
     "rows_by_scene",
     "rows_of",
+    "splits_table",
 ]
 
 _REMEDY: Final = "Run condvln generate CONFIG --verify, which rebuilds damaged files"
@@ -43,6 +46,21 @@ _BUFFER: Final = 1 << 14
 """Bytes of a column that are read at a time."""
 BATCH_ROWS: Final = 1024
 """Rows decoded at a time: enough to amortise Arrow's calls, few enough to keep memory low."""
+
+
+SPLITS_TABLE: Final = "splits.parquet"
+"""Path below the export's folder of the table that has the split of each episode."""
+
+
+def splits_table(chosen: Sequence[tuple[int, str]]) -> bytes:
+    """Return the Parquet file of `chosen`, pairs of an episode's id and its split, by id."""
+    columns = zip(*sorted(chosen), strict=True) if chosen else ((), ())
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        pa.table([[*column] for column in columns], schema=EXPORT_TABLES["splits"]), sink, compression="zstd"
+    )
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
 
 
 @dataclass(frozen=True)

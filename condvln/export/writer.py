@@ -13,7 +13,7 @@ from urllib.parse import quote
 from condvln.export.place_graphs import PLACES, Places
 from condvln.export.report import ExportReport, WrittenFile
 from condvln.export.splits import SPLITS, observability_class, route_class, words_class
-from condvln.export.tables import Row, SceneTable
+from condvln.export.tables import SPLITS_TABLE, Row, SceneTable, splits_table
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary, padded
 from condvln.export.viewpoints import FAMILY, Graphs, r2r_episode
 from condvln.export.vlnce import (
@@ -94,6 +94,7 @@ class ExportWriter:
         self._r2r_left_out: Counter[str] = Counter()
         self._shards: set[str] = set()
         self._places = Places()
+        self._chosen: list[tuple[int, str]] = []
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -106,6 +107,9 @@ class ExportWriter:
         self._copy_truths()
         with atomic_stream(self._out / PLACES) as stream:
             stream.write(self._places.pickled())
+        self._note(stream)
+        with atomic_stream(self._out / SPLITS_TABLE) as stream:
+            stream.write(splits_table(self._chosen))
         self._note(stream)
         self._report.r2r_left_out = dict(sorted(self._r2r_left_out.items()))
 
@@ -222,6 +226,7 @@ class ExportWriter:
         if self._show is not None:
             self._show(line)
         self._count(names["source"], row, files.name)
+        self._chosen.append((row["episode_id"], files.name))
         if self._graphs and names["source"] == FAMILY:
             self._add_r2r(files, row, instruction)
 

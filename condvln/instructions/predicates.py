@@ -5,37 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from schemas.program import BEARINGS, QUALIFIER_ONLY, Predicate
+from schemas.program import BEARINGS, PREDICATE_GROUPS, QUALIFIER_ONLY, Predicate
 
 __all__ = ["ASKED", "COMPASS", "GROUP_OF", "OF_THINGS", "PREDICATES", "PREDICATE_GROUPS", "sayable"]
 
-COMPASS: Final[tuple[Predicate, ...]] = (
-    "east of",
-    "north-east of",
-    "north of",
-    "north-west of",
-    "west of",
-    "south-west of",
-    "south of",
-    "south-east of",
-)
+COMPASS: Final = PREDICATE_GROUPS["compass"]
 """The eight compass predicates, counter-clockwise from east."""
-
-PREDICATE_GROUPS: Final[Mapping[str, tuple[Predicate, ...]]] = {
-    "on": ("on",),
-    "under": ("under",),
-    "inside": ("in",),
-    "near": ("near",),
-    "vertical": ("above", "below"),
-    "between": ("between",),
-    "closest": ("closest to",),
-    "compass": COMPASS,
-    "bearing": BEARINGS,
-    "size": ("bigger", "smaller"),
-    "height": ("higher than", "lower than"),
-    "far": ("far from",),
-}
-"""Groups of predicates with similar wording, in order of preference; named as the keys of ``sampling.predicates``."""
 
 PREDICATES: Final[tuple[Predicate, ...]] = tuple(p for group in PREDICATE_GROUPS.values() for p in group)
 

@@ -24,8 +24,11 @@ from condvln.scene import RoomArrays, SceneObject
 from schemas.config import SECTOR_HALF_WIDTH, Thresholds
 
 __all__ = [
+    "DENIED_BY_ALL",
+    "OF_SOME_PIECE",
     "PAIR_PREDICATES",
     "SEMANTIC",
+    "TURNED",
     "UNITS",
     "Bound",
     "Bounds",
@@ -63,6 +66,17 @@ PAIR_PREDICATES: Final = (
     "far from",
 )
 """Predicates of an object and one anchor that text may use."""
+
+TURNED: Final = {"lower than": "higher than", "below": "above"}
+"""Predicates that are others with the things exchanged."""
+
+OF_SOME_PIECE: Final = frozenset(("on", "under", "in", "near", "above", "below"))
+"""Predicates that are true of an object of several pieces if they are true of one pair of pieces, and false if they are
+false of all pairs. The others are true if they are true of all pairs.
+"""
+
+DENIED_BY_ALL: Final = frozenset(("higher than", "lower than", *COMPASS))
+"""Predicates that are false only if all their bounds for false hold; for the others one is enough."""
 
 UNITS: Final = {
     "distance": "m",
@@ -121,10 +135,14 @@ class Fact(NamedTuple):
 
 def bounds_of(predicate: str, t: Thresholds, *, denied: bool = False) -> tuple[Bounds, ...]:
     """Return the bounds of a predicate of `PAIR_PREDICATES`. It is true if all bounds for true hold, and false if one
-    of those for false holds; "higher than", "lower than" and compass directions are false only if all of them hold.
-    "Lower than" and "below" are "higher than" and "above" with the things exchanged.
+    of those for false holds, or all, see `DENIED_BY_ALL`. A predicate of `TURNED` has the bounds of the other one, with
+    the things exchanged.
 
     denied : the bounds at which a condition may deny a compass direction; telling rivals apart takes less
+
+    Raises
+    ------
+    KeyError : it is none of `PAIR_PREDICATES`, or has no bounds yet
     """
     mm = exact_mm
     if predicate == "near":
@@ -165,6 +183,8 @@ def bounds_of(predicate: str, t: Thresholds, *, denied: bool = False) -> tuple[B
             Bounds("gap", true=("≥", mm(t.over_gap_true))),
             Bounds("apart", false=("≥", mm(t.over_apart_false))),
         )
+    if predicate not in COMPASS:
+        raise KeyError(predicate)
     away = (">", t.sector_denied if denied else t.sector_false)
     limits = (t.sector_true, t.sector_edge, t.sector_edge)
     return (
@@ -260,9 +280,8 @@ def fact_of(predicate: str, q: Quantities, s: Stacking, t: Thresholds, container
     """
     bounds = bounds_of(predicate, t)
     true = reduce(np.logical_and, [_meets(q, one.quantity, one.true) for one in bounds if one.true])
-    every = predicate in ("higher than", *COMPASS)
     denials = [_meets(q, one.quantity, one.false) for one in bounds if one.false]
-    false = reduce(np.logical_and if every else np.logical_or, denials)
+    false = reduce(np.logical_and if predicate in DENIED_BY_ALL else np.logical_or, denials)
     fit_true, fit_false = _fit(predicate, s, t, container)
     when_true, when_false = _margins(predicate, q, s, t)
     true = true & fit_true

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from condvln.labels.lists import Role, have_role
 from condvln.relations.decisions import (
+    OF_SOME_PIECE,
     PAIR_PREDICATES,
+    TURNED,
     Fact,
     between_facts,
     closest_facts,
@@ -31,7 +33,7 @@ from condvln.scene import RoomArrays
 from schemas.config import Thresholds
 from schemas.config.constants import GROUP_RUG, GROUP_TABLE
 
-__all__ = ["SIZE_PREDICATES", "TEXT_PREDICATES", "TextFacts", "in_one_group", "text_facts"]
+__all__ = ["SIZE_PREDICATES", "TEXT_PREDICATES", "TextFacts", "in_one_group", "measured_by_boxes", "text_facts"]
 
 
 def in_one_group(arrays: RoomArrays) -> NDArray[np.bool_]:
@@ -112,8 +114,7 @@ class TextFacts:
 def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     """Return the facts that text may state about a room's objects.
 
-    For an object of several pieces, "on", "under", "in", "near" and "above" are true if true for some piece and false
-    if false for all; the compass directions, "higher than" and "far from" are true if true for all pieces.
+    For an object of several pieces, see `OF_SOME_PIECE`; "far from" is false if it is false for some pair of pieces.
     """
     t, arrays = thresholds, relations.objects
     pieces, holding = Pieces.of(arrays), holding_of(arrays)
@@ -127,28 +128,22 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
     measured = quantities(stacking, metrics, parts.radius, pieces.spread(relations.surface))
     container = holding.open[pieces.owner]
 
-    def said(predicate: str, off: Mapping[str, F64] | None = None) -> Fact:
-        return fact_of(predicate, {**measured, **(off or {})}, stacking, t, container)
-
-    facts = {
-        "on": _said_on(_some(pieces, said("on")), holding),
-        "under": _some(pieces, said("under")),
-        "in": _said_in(_some(pieces, said("in")), holding),
-        "near": _unheld(_some(pieces, said("near")), held, around, holding, in_one_group(arrays)),
-        "far from": _far_of(pieces, said("far from")),
-        "higher than": _each(pieces, said("higher than")),
-        "above": _some(pieces, said("above")),
-    }
-    facts["lower than"] = _turned(facts["higher than"])
-    facts["below"] = _turned(facts["above"])
     denied = {}
     azimuths = np.stack(
         [metrics.azimuth, *edge_azimuths(*map(millimetres, (parts.centers, parts.aabb_min, parts.aabb_max)))]
     )
-    for predicate in COMPASS:
-        off = deviations(azimuths, predicate)
-        facts[predicate] = _each(pieces, said(predicate, off))
-        denied[predicate] = pieces.all(denies(predicate, off | {"horizontal": metrics.horizontal}, t) & ~stacking.over)
+    facts: dict[str, Fact] = {}
+    for predicate in sorted(PAIR_PREDICATES, key=TURNED.__contains__):
+        if predicate in TURNED:
+            facts[predicate] = _turned(facts[TURNED[predicate]])
+            continue
+        own = {**measured, **(deviations(azimuths, predicate) if predicate in COMPASS else {})}
+        of_objects = _some if predicate in OF_SOME_PIECE else _far_of if predicate == "far from" else _each
+        facts[predicate] = of_objects(pieces, fact_of(predicate, own, stacking, t, container))
+        if predicate in COMPASS:
+            denied[predicate] = pieces.all(denies(predicate, own, t) & ~stacking.over)
+    facts["on"], facts["in"] = _said_on(facts["on"], holding), _said_in(facts["in"], holding)
+    facts["near"] = _unheld(facts["near"], held, around, holding, in_one_group(arrays))
     return TextFacts(
         status={predicate: facts[predicate].status for predicate in PAIR_PREDICATES},
         margin={predicate: facts[predicate].margin for predicate in PAIR_PREDICATES},
@@ -162,6 +157,13 @@ def text_facts(relations: RoomRelations, thresholds: Thresholds) -> TextFacts:
         _compound=pieces.compound,
         _thresholds=t,
     )
+
+
+def measured_by_boxes(arrays: RoomArrays, thresholds: Thresholds) -> dict[str, F64]:
+    """Return the quantities of all pairs of a room's objects by their boxes alone, (n, n) each; NaN where unknown."""
+    stacking = stacking_of(Pieces.of(arrays), holding_of(arrays), thresholds)
+    metrics = pair_metrics(arrays.centers, arrays.aabb_min, arrays.aabb_max, arrays.radius)
+    return quantities(stacking, metrics, arrays.radius, np.full_like(metrics.used, np.nan))
 
 
 def _turned(one: Fact) -> Fact:

@@ -14,6 +14,7 @@ from typing import Final
 import shapely
 
 from condvln.formats.streams import atomic_path
+from condvln.samples.boxes import boxes_files
 from condvln.samples.floor_mesh import free_floor
 from condvln.samples.floor_plan import MAX_ROOMS, MIN_ROOMS, FloorPlan, PlanDoor, Rect, draw_floor_plan, metres
 from condvln.samples.furnishing import furnish
@@ -155,6 +156,7 @@ def _furniture(room_id: str, piece: Piece, ids: list[str], index: int) -> Furnit
 Writer = Callable[[Mapping[str, Layout]], Iterator[tuple[str, bytes]]]
 
 FAMILIES: Final[dict[str, Writer]] = {
+    "boxes": boxes_files,
     "gibson": gibson_files,
     "hm3d": hm3d_files,
     "hssd": hssd_files,

@@ -28,6 +28,7 @@ __all__ = [
     "WALL_THICKNESS",
     "counter_parts",
     "house_structure",
+    "walls_with_openings",
 ]
 
 F64 = NDArray[np.float64]
@@ -61,8 +62,17 @@ def house_structure(house: House, where: str) -> list[Piece]:
             remedy="Take the file from its dataset again",
         )
     cut = [o for o in house.openings if o.passable or o.kind == "window"]
-    pieces = [_slabs(wall, cut) for wall in _standing(house.walls)]
-    return [*(floor(round_mm(room.polygon), 0.0) for room in house.rooms), *pieces]
+    floors = (floor(round_mm(room.polygon), 0.0) for room in house.rooms)
+    return [*floors, *walls_with_openings(house.walls, cut)]
+
+
+def walls_with_openings(
+    walls: Sequence[HouseWall], openings: Sequence[Opening], reach: float = SAME_LINE
+) -> list[Piece]:
+    """Return all walls that were not removed, each once, without the `openings` that are within `reach` metres of their
+    line.
+    """
+    return [_slabs(wall, openings, reach) for wall in _standing(walls)]
 
 
 def _standing(walls: Sequence[HouseWall]) -> Iterator[HouseWall]:
@@ -78,14 +88,14 @@ def _standing(walls: Sequence[HouseWall]) -> Iterator[HouseWall]:
             yield wall
 
 
-def _slabs(wall: HouseWall, openings: Sequence[Opening]) -> Piece:
+def _slabs(wall: HouseWall, openings: Sequence[Opening], reach: float) -> Piece:
     """Return a wall without its holes, as upright boxes."""
     length = float(np.linalg.norm(wall.end - wall.start))
-    holes = list(_holes(wall, (wall.end - wall.start) / length, length, openings))
+    holes = list(_holes(wall, (wall.end - wall.start) / length, length, openings, reach))
     return pierced_wall(wall.start, wall.end, wall.bottom, wall.top, WALL_THICKNESS, holes)
 
 
-def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Opening]) -> Iterator[Hole]:
+def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Opening], beside: float) -> Iterator[Hole]:
     """Yield the holes in `wall`: one for each opening that overlaps the wall along the wall's line, even if the file
     assigns the opening to another wall.
     """
@@ -94,7 +104,7 @@ def _holes(wall: HouseWall, along: F64, length: float, openings: Sequence[Openin
     ends = np.array([[o.start, o.end] for o in openings]) - wall.start
     aside = np.abs(ends @ np.array([-along[1], along[0]])).max(axis=1)
     reach = np.sort(ends @ along, axis=1)
-    for number in np.nonzero((aside <= SAME_LINE) & (reach[:, 0] < length) & (reach[:, 1] > 0))[0]:
+    for number in np.nonzero((aside <= beside) & (reach[:, 0] < length) & (reach[:, 1] > 0))[0]:
         opening = openings[int(number)]
         low = opening.bottom if opening.kind == "door" else max(opening.bottom, wall.bottom + PARAPET)
         yield Hole(float(reach[number, 0]), float(reach[number, 1]), low, opening.top)

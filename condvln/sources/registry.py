@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from condvln.sources.boxes import BoxesSource
 from condvln.sources.gibson import GibsonSource
 from condvln.sources.hm3d import Hm3dSource
 from condvln.sources.mp3d import Mp3dSource
@@ -21,6 +22,7 @@ from schemas.errors import ConfigError
 __all__ = ["READERS", "open_source"]
 
 READERS: Final[dict[str, type[Source]]] = {
+    "boxes": BoxesSource,
     "gibson": GibsonSource,
     "hm3d": Hm3dSource,
     "hssd": HssdSource,

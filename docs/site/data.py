@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from schemas.generate import inner_fields
-from schemas.tables import ABOUT, SORT_KEYS, TABLES, TRAJECTORY_TABLES, description
+from schemas.tables import ABOUT, EXPORT_TABLES, SORT_KEYS, TABLES, TRAJECTORY_TABLES, description
 
 FILE = Path(__file__).resolve().parents[1] / "data.md"
 
@@ -25,8 +25,15 @@ def data_page() -> str:
         "`x`, `y`, `z`.",
         "Until a run publishes, the rows of finished scenes are in the store already: a file a table and scene, "
         "`units/<stage>/…/<table>.parquet`, with the same columns.",
+        "The published files carry these descriptions: `pyarrow.parquet.read_schema(FILE).field(NAME).metadata`. "
+        "`views.sql` beside the tables makes the views of `condvln query` in DuckDB's own shell: start it in the "
+        "snapshot's folder, and `.read views.sql`.",
     ]
     parts += _sections(TABLES)
+    parts.append(
+        "# Tables of exports\n\nOne file each in the export's folder; `condvln query CONFIG` has them as tables."
+    )
+    parts += _sections(EXPORT_TABLES)
     parts.append(
         "# Tables of trajectories\n\n`condvln trajectories` writes them as one file each, with the family in a last "
         "column `source`; see [training data](training.md). Positions are not rounded: replayed actions give them "

@@ -20,9 +20,9 @@ def demo(
     family: Annotated[
         str | None,
         typer.Option(
-            help="only write scenes in this native format, and print the source entry for a configuration: gibson, "
-            "hm3d, hssd, ithor, mp3d, procthor, replicacad, robothor or ai2thor-hab; the last is ProcTHOR in Habitat's "
-            "format, with rooms from the JSON of its houses"
+            help="only write scenes in this native format, and print the source entry for a configuration: boxes, "
+            "gibson, hm3d, hssd, ithor, mp3d, procthor, replicacad, robothor or ai2thor-hab; the last is ProcTHOR in "
+            "Habitat's format, with rooms from the JSON of its houses"
         ),
     ] = None,
     scenes: Annotated[int, typer.Option(min=1, help="number of synthetic apartments, over all formats")] = 12,

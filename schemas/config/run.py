@@ -27,7 +27,7 @@ __all__ = [
     "SplitsConfig",
 ]
 
-Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson", "hssd", "hm3d"]
+Family = Literal["replicacad", "procthor", "ithor", "robothor", "mp3d", "gibson", "hssd", "hm3d", "boxes"]
 
 
 class SourceConfig(Section):

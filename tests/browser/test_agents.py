@@ -87,7 +87,7 @@ def outcome(row: dict[str, Any]) -> str:
 
 def test_where_two_agents_differ_is_what_their_scores_say(page: Page, evaluated: EvaluationReport) -> None:
     report = evaluated
-    became = {one.agent: {row["episode_id"]: outcome(row) for row in one.rows()} for one in report.evaluations}
+    became = {one.agent: {str(row["episode_id"]): outcome(row) for row in one.rows()} for one in report.evaluations}
     page.go("#/agents")
     for first, second in ((0, 1), (1, 2)):
         Select(page.one("#first-agent")).select_by_index(first)

@@ -228,7 +228,7 @@ def test_a_pinned_table_lost_with_its_copy_is_never_replaced_by_another_silently
     (second,) = grow(store, 1, 2)[1:]
     ref, _ = read_ref(store, "main")
     (entry,) = store.list("aggregates")
-    (copy,) = store.list(f"snapshots/{ref.snapshot_id}/shared")
+    (copy,) = store.list(f"snapshots/{ref.snapshot_id}/_shared")
     for path in (entry.path, copy.path):
         store.delete(path)
     # It was counted over five numbers less than there are now: no run may pin today's count in its place.

@@ -103,6 +103,8 @@ def test_agents_side_by_side_in_every_form(evaluate: Any, agents: dict[str, Path
     scores = [json.loads(line) for line in (tmp_path / "scores.jsonl").read_text().splitlines()]
     assert len(scores) == 2 * main["oracle"]["episodes"]
     assert {score["agent"] for score in scores} == {"oracle", "wrong-branch"}
+    assert {type(score["episode_id"]) for score in scores} == {int}
+    assert all("scene" not in score and "/" not in score["scene_id"] for score in scores)
     for form, sign in (("--latex", r"\toprule"), ("--markdown", "| agent |")):
         text = evaluate(*files, form).stdout
         assert sign in text
@@ -338,7 +340,7 @@ def test_the_page_has_the_scores_of_its_evaluation(
     scores = [json.loads(line) for line in (tmp_path / "scores.jsonl").read_text().splitlines()]
     for agent in index["agents"]:
         assert agent["splits"] == [split]
-        own = {row["episode_id"]: row for row in scores if row["agent"] == agent["name"]}
+        own = {str(row["episode_id"]): row for row in scores if row["agent"] == agent["name"]}
         for k, name in enumerate(index["columns"]["id"]):
             assert (agent["outcome"][k] == index["outcomes"].index("success")) is (
                 name in own and own[name]["success"] == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 from pathlib import Path
 
 import orjson
@@ -15,9 +16,10 @@ from condvln.samples import FAMILIES
 from jobs.generate import run_generate
 from jobs.verify import verify_export
 from jobs.workspace import published
+from schemas.config import Config, SourceConfig
 from tests.jobs.conftest import made_config, remove
 
-BUILT = {"procthor", "ithor", "robothor"}
+BUILT = {"boxes", "procthor", "ithor", "robothor"}
 """Families that never ship a navmesh."""
 
 
@@ -43,6 +45,17 @@ def test_a_family_yields_and_is_proven(family: str, tmp_path: Path) -> None:
         assert hashlib.sha256(path.read_bytes()).hexdigest() == row["navmesh_sha256"]
         own = read_navmesh(path).known_settings
         assert own.fits(config.agent.radius, config.agent.height, config.agent.max_climb, config.agent.max_slope)
+
+
+def test_the_documented_scene_of_boxes_yields_by_default(tmp_path: Path, repository: Path) -> None:
+    (text,) = re.findall(r"^```json\n(.*?)^```", (repository / "docs/boxes.md").read_text(), re.M | re.S)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/lab.json").write_text(text)
+    source = SourceConfig(family="boxes", root=tmp_path / "data")
+    config = Config(name="lab", store=tmp_path / "store", export=tmp_path / "export", sources=(source,))
+    assert run_generate(config, inline=True, console=Console(file=io.StringIO())).exit_code == 0
+    assert published(config).table("episodes").num_rows >= 20
+    assert verify_export(config, tmp_path / "export").exit_code == 0
 
 
 def test_without_mesh_navmesh_or_walls_there_are_instructions_and_no_episodes(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
@@ -20,15 +21,16 @@ from jobs.report import Report
 from jobs.workspace import Target
 from schemas.config import Config
 from schemas.errors import UsageError
+from schemas.program import SHAPES
 from schemas.tables import TABLES
 
 COOKBOOK = Path(__file__).parents[2] / "docs" / "cookbook.md"
 
 
 @pytest.fixture(scope="module")
-def target(made_run: tuple[Config, Report]) -> Target:
+def target(made_run: tuple[Config, Report], export: Path) -> Target:
     config, _ = made_run
-    return Target(config.store, config.name)
+    return Target(config.store, config.name, config.model_copy(update={"export": export}))
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +96,46 @@ def test_leaves_and_conditions_are_the_nested_ones_one_by_one(target: Target, sn
     assert [
         (c["instruction_id"], c["condition"], c["label"], c["room"], c["truth"], c["predicate"]) for c in conditions
     ] == expected
+
+
+def test_splits_are_those_of_the_manifests(target: Target, export: Path, tmp_path: Path) -> None:
+    listed = [
+        (json.loads(line)["episode_id"], path.stem)
+        for path in (export / "manifest").glob("*.jsonl")
+        for line in path.read_text().splitlines()
+    ]
+    found = rows(
+        target, "SELECT episode_id, split, depth, chain, category FROM episodes JOIN splits USING (episode_id)"
+    )
+    assert sorted((row["episode_id"], row["split"]) for row in found) == sorted(listed)
+    for row in found:
+        shape = SHAPES[row["category"]]
+        assert (row["depth"], row["chain"]) == (shape.depth, shape.chain)
+    assert not query_target(target, "SELECT count(*) FROM splits").lines
+    (tmp_path / "splits.parquet").write_bytes((export / "splits.parquet").read_bytes())
+    assert target.config is not None
+    stale = Target(target.address, target.name, target.config.model_copy(update={"export": tmp_path}))
+    assert "condvln export" in query_target(stale, "SELECT count(*) FROM splits").lines[0]
+    with pytest.raises(UsageError, match="condvln export"):
+        query_target(Target(target.address, target.name), "SELECT count(*) FROM splits")
+
+
+def test_published_files_describe_their_columns_and_views_sql_reads_them(target: Target, export: Path) -> None:
+    folder = target.folder()
+    described = {name: next((folder / name).rglob("*.parquet")) for name in TABLES}
+    for name, path in described.items():
+        schema = pq.read_schema(path)
+        assert {f.name: f.metadata[b"description"] for f in schema} == {
+            f.name: f.metadata[b"description"] for f in TABLES[name]
+        }
+    assert pq.read_schema(export / "splits.parquet").field("split").metadata[b"description"]
+    assert {path.name for path in folder.iterdir() if path.is_dir() and not path.name.startswith("_")} == {*TABLES}
+    with duckdb.connect() as connection:
+        connection.execute(f"SET file_search_path = '{folder}'")
+        connection.execute((folder / "views.sql").read_text())
+        for name in (*TABLES, *VIEWS):
+            (counted,) = connection.execute(f"SELECT count(*) FROM {name}").fetchone() or ()
+            assert [{"n": counted}] == rows(target, f"SELECT count(*) AS n FROM {name}")
 
 
 def test_labelled_relations_are_those_between_objects(target: Target) -> None:

@@ -14,7 +14,7 @@ from jobs.sources import scene_yield, survey, survey_source
 from schemas.config import AgentConfig, Config, SourceConfig
 from schemas.errors import ConfigError
 
-NO_MESH = {"procthor", "ithor", "robothor"}
+NO_MESH = {"boxes", "procthor", "ithor", "robothor"}
 
 
 @pytest.fixture(scope="module", params=sorted(FAMILIES))

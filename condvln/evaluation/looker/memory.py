@@ -20,8 +20,10 @@ from shapely import MultiPoint
 
 from condvln.evaluation.looker.eyes import Look
 from condvln.instructions.text_reading import Phrase, Place
-from condvln.relations.decisions import halfway
+from condvln.relations.decisions import OF_SOME_PIECE, TURNED, bounds_of, halfway
 from condvln.relations.directions import BEARING_DEGREES, COMPASS
+from condvln.relations.text import measured_by_boxes
+from condvln.scene import RoomArrays, SceneObject, round_mm
 from schemas.config import Thresholds
 from schemas.program import BEARINGS, Predicate
 
@@ -119,7 +121,7 @@ class Memory:
             self._things = {k: one for k, one in self._things.items() if step - one.seen <= self._span}
 
 
-BY_SURFACES: Final = frozenset(("near", "on", "in", "above", "below", "between"))
+BY_SURFACES: Final = OF_SOME_PIECE | {"between"}
 """Relations that may become true when more is seen of the same things."""
 APART: Final = 1.5
 """Distance in metres between what is seen of two things at which neither touches or is near the other."""
@@ -276,6 +278,8 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
     rise = float(thing.middle[1] - anchor.middle[1])
     if predicate in ("higher than", "lower than"):
         return (rise if predicate == "higher than" else -rise) - halfway(predicate, t)
+    if predicate not in ("above", "below"):
+        return _by_boxes(predicate, thing, anchor, t)
     if predicate == "below":
         thing, anchor, rise = anchor, thing, -rise
     apart = float(np.hypot(*(thing.middle - anchor.middle)[[0, 2]]))
@@ -285,6 +289,25 @@ def holds(predicate: Predicate, thing: Thing, anchors: Sequence[Thing], north: f
         _covered(thing, anchor) - 0.05,
         -_on(thing, anchor, t),
     )
+
+
+def _by_boxes(predicate: Predicate, thing: Thing, anchor: Thing, t: Thresholds) -> float:
+    """Return the score of a predicate that has no measure of its own here: by what the boxes of the seen parts have to
+    spare to the bounds at which text uses it as true.
+    """
+    pair = (anchor, thing) if predicate in TURNED else (thing, anchor)
+    boxes = [round_mm(one.box) for one in pair]
+    seen = [SceneObject(f"{k}", "", "", "", round_mm(box.mean(axis=0)), aabb=box) for k, box in enumerate(boxes)]
+    measured = measured_by_boxes(RoomArrays.of("", seen), t)
+    spare = []
+    for quantity, bound, _ in bounds_of(predicate, t):
+        value = float(measured[quantity][0, 1])
+        if bound is not None and not math.isnan(value):
+            operator, limit = bound
+            spare.append(
+                limit - abs(value) if operator == "±" else limit - value if operator in "≤<" else value - limit
+            )
+    return min(spare, default=-1.0)
 
 
 def ranked(predicate: Predicate, things: Sequence[Thing], anchors: Sequence[Thing]) -> list[Thing]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from condvln.evaluation.looker.approach import approach
 from condvln.evaluation.looker.exploring import Explorer, Here
 from condvln.evaluation.looker.eyes import GHOST, LOOKUP_CELL, Eyes, Look, RoomLookup, SeenView
 from condvln.evaluation.looker.floor_map import HALF, FloorMap, Ground, least_costs
-from condvln.evaluation.looker.memory import GRAIN, Memory, Referents, Thing, holds
+from condvln.evaluation.looker.memory import GRAIN, Compared, Memory, Referents, Thing, _by_boxes, holds, ranked
 from condvln.evaluation.scene_views import SceneViews
 from condvln.evaluation.score import score
 from condvln.evaluation.split import Export
@@ -30,6 +31,7 @@ from condvln.relations import relate_room, text_facts
 from condvln.scene import RoomArrays, SceneObject
 from jobs.command import app
 from schemas.config import LookerConfig, NoiseConfig, Thresholds
+from schemas.program import Predicate
 
 T = Thresholds()
 
@@ -146,6 +148,35 @@ def test_judgement_is_that_of_the_geometry_where_all_is_seen() -> None:
                 decided.setdefault(predicate, set()).add(int(status[i, j]))
     assert all(found == {1, -1} for found in decided.values()), decided
     assert len(decided) == len(predicates)
+
+
+@pytest.mark.parametrize("predicate", get_args(Predicate))
+def test_every_predicate_has_a_measure(predicate: Predicate) -> None:
+    """Every object at hand is judged; an unknown predicate has no bounds to be judged by."""
+    low = np.array([[0.0, 0, 0], [2, 0, 0], [4, 0, 0]])
+    things = [Thing(k, "x", 0, surface(a, a + 0.5 * (k + 1)), 1.0, 0) for k, a in enumerate(low)]
+    if predicate in Compared:
+        assert ranked(predicate, things[:2], things[2:])
+    else:
+        assert np.isfinite(holds(predicate, things[1], [things[0], things[2]], 0.0, T))
+
+
+def test_what_has_no_measure_of_its_own_is_judged_by_the_boxes_of_what_is_seen() -> None:
+    rng, decided = np.random.default_rng(4), set()
+    for room in (40, 160) * 8:
+        low = rng.integers(0, (room, 40, room), (6, 3)) * GRAIN
+        high = low + rng.integers(3, 22, (6, 3)) * GRAIN
+        boxes = [*zip(low, high, strict=True)]
+        objects = [SceneObject(f"o{k}", "", "", "", (a + b) / 2, np.array([a, b])) for k, (a, b) in enumerate(boxes)]
+        facts = text_facts(relate_room(RoomArrays.of("", objects, 0.0), T), T)
+        things = [Thing(k, "x", 0, surface(a, b), 1.0, 0) for k, (a, b) in enumerate(boxes)]
+        for predicate in ("near", "far from", "higher than", "lower than", "above", "below"):
+            status = facts.status[predicate]
+            for i, j in zip(*np.nonzero(status), strict=True):
+                spare = _by_boxes(predicate, things[i], things[j], T)
+                assert spare >= -1e-6 if status[i, j] == 1 else spare < 0, (predicate, boxes[i], boxes[j])
+                decided.add((predicate, int(status[i, j])))
+    assert len(decided) == 12
 
 
 def test_directions_count_from_north_as_the_text_said() -> None:

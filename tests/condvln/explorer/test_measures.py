@@ -140,6 +140,7 @@ def test_each_predicate_of_a_condition_has_a_rule_and_a_measure(predicate: Predi
     ]
     anchors = tuple(Anchor(object_id=one.object_id, label="x") for one in objects[1 : 1 + anchors_of(predicate)])
     rule = rule_of(Qualifier(predicate=predicate, anchors=anchors), T)
+    assert rule
     assert not re.search(r"[{}]", rule)
     if predicate in BEARINGS or predicate in COMPASS:
         assert f" of {predicate.removesuffix(' of')} " in rule
@@ -149,3 +150,18 @@ def test_each_predicate_of_a_condition_has_a_rule_and_a_measure(predicate: Predi
         pairs = measured(predicate, *objects[: 1 + anchors_of(predicate)])
     assert decided(predicate, pairs, True)["criteria"]
     assert {name for name in get_args(Predicate) if said_of(name)["rule"]} == {*get_args(Predicate)} - {*QUALIFIER_ONLY}
+
+
+def test_without_words_of_its_own_a_predicate_is_said_by_its_bounds() -> None:
+    one, other = thing("one", (0, 0, 0), (1, 0.3, 1)), thing("other", (0, 0.6, 0), (2, 1, 2))
+    assert said_of("under")["rule"].startswith(f"off floor at most {1000 * T.on_floor:g} mm, room below at least 0 mm")
+    assert "; false: apart at least" in said_of("under")["rule"]
+    found = decided("under", measured("under", one, other), True)
+    assert [one["name"] for one in found["criteria"]] == ["off floor", "room below", "covered", "apart"]
+    assert [one["unit"] for one in found["criteria"]] == ["m", "m", "%", "m"]
+
+
+def test_without_criteria_nothing_is_said() -> None:
+    one, other = thing("one", (0, 0, 0), (1, 1, 1)), thing("other", (2, 0, 0), (3, 1, 1))
+    assert decided("closest to", measured("closest to", one, other), True) == {}
+    assert measured("near", one) == []
