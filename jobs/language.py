@@ -49,6 +49,16 @@ def _lines(found: LanguageReport) -> list[str]:
             f"binding lint: {found.lint['findings']} findings in {found.lint['texts']:,} texts; "
             f"{found.lint['misread']} do not read back to their program"
         )
+    if found.asked is not None:
+        asked = found.asked
+        lines.append(
+            f"{asked['several rooms']:.0%} are about several rooms, of which {asked['with a lead']:.0%} send there "
+            f"first; of the orders to look, {asked['looks from afar']:.1%} are about a room where one was not sent"
+        )
+        lines.append(
+            f"of the relations, {asked['fixed beside fixed']:.1%} join two fixed things; of the stops and conditions, "
+            f"{asked['worth nothing']:.1%} are worth nothing"
+        )
     return lines
 
 

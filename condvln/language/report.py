@@ -19,6 +19,7 @@ from typing import Any, Final
 from condvln.instructions import parse, reading_of
 from condvln.instructions.language import LANGUAGES, Template, language
 from condvln.instructions.parsing import template_of
+from condvln.labels.lists import labels_with_role, worth
 from condvln.language.binding import findings
 from condvln.language.texts import InstructionText
 from schemas.errors import FormatError, InputError
@@ -181,6 +182,7 @@ class LanguageReport:
     banned : number of occurrences of each phrase to avoid; banned_texts : share of texts with at least one
     lint : for texts whose program is known: number of texts, of texts that do not parse back to their program, and of
         findings of the binding lint; None if no program is known
+    asked : shares over texts whose program is known, by what they say; see `_asked`; None if no program is known
     """
 
     lengths: dict[str, Lengths]
@@ -193,6 +195,7 @@ class LanguageReport:
     banned: dict[str, int]
     banned_texts: float
     lint: dict[str, int] | None
+    asked: dict[str, float] | None
 
     def document(self) -> dict[str, Any]:
         """Return the report as a JSON document."""
@@ -207,6 +210,7 @@ class LanguageReport:
             "banned": self.banned,
             "banned_texts": self.banned_texts,
             "lint": self.lint,
+            "asked": self.asked,
         }
 
 
@@ -244,6 +248,7 @@ def language_report(texts: Iterable[InstructionText]) -> LanguageReport:
         banned=dict(sorted(Counter(name for names in phrases for name in names).items(), key=lambda x: (-x[1], x[0]))),
         banned_texts=_share(map(bool, phrases)),
         lint=_lint([one for one in found if one.program is not None]),
+        asked=_asked([one for one in found if one.program is not None]),
     )
 
 
@@ -294,6 +299,37 @@ def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
             unsound[key] = any(findings(language(code), category, template))
         counts["findings"] += unsound[key]
     return dict(counts)
+
+
+def _asked(texts: Sequence[InstructionText]) -> dict[str, float] | None:
+    """Return shares: of texts over several rooms and, of those, with a lead; of orders to look ("look at the lamp") in
+    a room to which nothing has sent one; of relations between two things that are built in or too heavy to move; and of
+    stops and conditions about what nobody would say (worth 0). Return None if there are no texts.
+    """
+    if not texts:
+        return None
+    several, led, looks, fixed, silly = [], [], [], [], []
+    heavy = labels_with_role("fixed")
+    for one in texts:
+        program = one.program
+        assert program is not None
+        moves = [move for leaf in program.leaves for move in leaf.moves]
+        rooms = {x.room.room_id for x in moves} | {x.room.room_id for x in program.conditions}
+        several.append(len(rooms) > 1)
+        if several[-1]:
+            led.append(any(branch.lead is not None for branch in program.branches))
+        code = next((code for code in LANGUAGES if _is_said(one, code)), None)
+        if code is not None:
+            stated = template_of(one.text, code)[1].stated
+            looks += [several[-1] and program.last_leads[k] is None for k, form in stated.items() if form == "see"]
+        silly += [worth(move.label, move.room.label).goto == 0.0 for move in moves]
+        for condition in program.conditions:
+            own, anchors = worth(condition.label, condition.room.label), condition.qualifier
+            silly.append((own.relation if anchors else own.presence) == 0.0)
+            if anchors:
+                fixed.append(heavy >= {condition.label, *anchors.anchor_labels})
+    names = ("several rooms", "with a lead", "looks from afar", "fixed beside fixed", "worth nothing")
+    return {name: _share(flags) for name, flags in zip(names, (several, led, looks, fixed, silly), strict=True)}
 
 
 def _is_said(one: InstructionText, code: str) -> bool:

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from condvln.instructions import render
 from condvln.language import language_report, read_texts
+from condvln.language.texts import InstructionText
 from schemas.errors import FormatError, InputError, MissingFileError
+from schemas.program import SHAPES, Program
 
 SAID = ["Exit the bathroom and turn left.", "Walk past the bed. Stop.", "Go to the sofa north of the bed."]
 
@@ -48,8 +51,36 @@ def test_a_report_by_hand(tmp_path: Path) -> None:
     assert found.variety["distinct-2"] == 15 / 16
     assert (found.compass, found.egocentric, found.banned_texts) == (1 / 3, 1 / 3, 0)
     assert found.templates == 1.0
-    assert found.lint is None
+    assert found.lint is found.asked is None
     assert json.loads(json.dumps(found.document()))["lengths"]["all"]["texts"] == 3
+
+
+def test_what_is_asked_by_hand(repository: Path) -> None:
+    """Six texts over several rooms, all with leads. Of twelve relations, one is between fixed things: the wall cabinet
+    near the stove. Without leads, every order to look is about another room.
+    """
+    examples = json.loads((repository / "tests/condvln/instructions/example_programs.json").read_text())
+    led = [Program.model_validate(example["program"]) for example in examples]
+
+    def asked(programs: list[Program]) -> dict[str, float]:
+        texts = [InstructionText(render(one, 0, str(k)), one.category, one) for k, one in enumerate(programs)]
+        found = language_report(texts).asked
+        assert found is not None
+        return found
+
+    assert asked(led) == {
+        "several rooms": 1.0,
+        "with a lead": 1.0,
+        "looks from afar": 0.0,
+        "fixed beside fixed": 1 / 12,
+        "worth nothing": 0.0,
+    }
+    plain = [p.model_copy(update={"branches": SHAPES[p.category].branches}) for p in led]
+    assert asked(plain) == asked(led) | {"with a lead": 0.0, "looks from afar": 1.0}
+    pens = [
+        p.model_copy(update={"conditions": [c.model_copy(update={"label": "pen"}) for c in p.conditions]}) for p in led
+    ]
+    assert asked(pens)["worth nothing"] > 0.3
 
 
 @pytest.mark.parametrize(
