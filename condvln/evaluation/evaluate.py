@@ -85,7 +85,7 @@ class Evaluation:
         """Return one dictionary per episode: ids as in the tables, axes, scores; undefined measures are None."""
         columns: dict[str, list[Any]] = {"episode_id": [int(name) for name in self.episode_ids]}
         columns |= {name: values.tolist() for name, values in self.axes.items()}
-        columns["scene_id"] = [scene.split("/", 1)[1] for scene in columns.pop("scene")]
+        columns["scene_id"] = [scene.split("/", 1)[-1] for scene in columns.pop("scene")]
         columns |= {"gold_leaf": self.gold_leaf.tolist()}
         for name, values in self.scores.items():
             columns[name] = [None if np.isnan(value) else value for value in values.tolist()]

@@ -23,7 +23,7 @@ from schemas.program import CATEGORIES, Condition, ObjectRef, Program
 from tests.condvln.instructions.conftest import HOUSE, facts_of, made_scene
 from tests.condvln.instructions.made_sampler import made_sampler
 
-T = Thresholds()
+T = Thresholds(sector_within=20.0)
 LEAST = 0.99
 """Share of the mutants of each kind that must be caught."""
 

@@ -40,7 +40,7 @@ def only(*boxes: tuple[np.ndarray, np.ndarray]) -> SceneGeometry:
 
 def test_among_other_walls_other_things_are_seen(made_export) -> None:
     opened = shut = 0
-    for run in made_export.runs[:4]:
+    for run in made_export.runs[:8]:
         rows = list(run.rows)
         far = np.array([500.0, 0.0, 500.0])
         nothing = proven(made_export, run, rows, only((far, far + 1.0)))
@@ -58,7 +58,7 @@ def test_among_other_walls_other_things_are_seen(made_export) -> None:
                 shut += 1
             opened += "observability" in refuted(free)
     assert opened >= 10
-    assert shut >= 10
+    assert shut >= 5
 
 
 def test_stops_from_which_nothing_is_seen_are_refuted(made_export) -> None:
