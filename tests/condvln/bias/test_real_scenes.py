@@ -22,7 +22,7 @@ from schemas.program import CATEGORIES as ALL_CATEGORIES
 from schemas.program import Category
 from tests.condvln.instructions.made_sampler import made_sampler
 
-T = Thresholds()
+T = Thresholds(sector_within=20.0)
 
 CATEGORIES: tuple[Category, ...] = ("simple", "long_chain", "deep_nested")
 

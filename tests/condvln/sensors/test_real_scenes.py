@@ -95,7 +95,7 @@ def test_evidence_that_is_visible_at_once_has_pixels(made: list[World]) -> None:
     """O0: turned through 360° at the start, down to the floor, one sees a true condition's witness and its anchor."""
     level = CameraConfig(width=224, height=224, hfov=90.0)
     down = level.model_copy(update={"look_down": 50.0})
-    wanted = InstructionsConfig(per_category={"simple": 6, "chain": 6}, counterfactual_groups=0)
+    wanted = InstructionsConfig(per_category={"simple": 10, "chain": 10}, counterfactual_groups=0)
     seen_ways = []
     for world in made:
         if world.scene.navmesh is None:
