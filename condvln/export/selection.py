@@ -104,7 +104,7 @@ def _raked(pool: ExportPool, statements: Codes, rows: Codes, seed: int) -> npt.N
 OUT: Final = -1
 """Code of an episode that is in no split."""
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Version of the selection; raised when equal pool and configuration select other episodes than before."""
 
 LOOKAHEAD: Final = 64
@@ -167,8 +167,8 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
     order = _seeded_order(pool, config.seed)
     for split_code, split in enumerate(SPLITS):
         members = order[placed[order] == split_code]
-        # Number of true minus false conditions, by source and kind of condition.
-        balances = [[0] * len(pool.kinds) for _ in pool.sources]
+        # Number of true minus false conditions, by source and kind of condition; last over all kinds of presence.
+        balances = [[0] * (len(pool.kinds) + 1) for _ in pool.sources]
         for category, name in enumerate(CATEGORIES):
             blocks = {
                 source: members[(pool.category[members] == category) & (pool.source[members] == source)]
@@ -410,8 +410,8 @@ class _Picker:
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
         """Remove a candidate from the queue and return its rows; None if the queue is empty. The choice among the next
-        few candidates is the one that adds least to Σ (true − false)², summed over the kinds of condition; on ties the
-        earliest.
+        few candidates is the one that adds least to Σ (true − false)², summed over the kinds of condition and presence
+        as a whole; on ties the earliest.
         """
         while queue.waiting and len(queue.window) < LOOKAHEAD:
             rows = queue.waiting.pop()
@@ -440,7 +440,13 @@ def _terms_of(pool: ExportPool, rows: npt.NDArray[np.int64]) -> dict[int, Terms]
     signs = np.where(pool.truths[places], 1, -1)
     terms = [*zip(pool.conditions[places].tolist(), signs.tolist(), strict=True)]
     bounds = zip(rows.tolist(), (ends - sizes).tolist(), ends.tolist(), strict=True)
-    return {row: terms[begin:end] for row, begin, end in bounds}
+    presence = {kind for kind, name in enumerate(pool.kinds) if name.endswith("presence")}
+    # Placing finds what is there more often than that something is not, so presence is evened as a whole, too.
+    every = len(pool.kinds)
+    return {
+        row: [*(own := terms[begin:end]), *((every, sign) for kind, sign in own if kind in presence)]
+        for row, begin, end in bounds
+    }
 
 
 @dataclass

@@ -59,7 +59,7 @@ def test_five_families_generate_export_and_are_proven(repository: Path, real_dat
     # In small buildings many things are on the border of two rooms, and text does not name them (decision 21). Of scans
     # text does not ask for what every such room has, nor name things of odd sizes (decision 27).
     # Nor does it ask about the presence of what is too small to be seen to be absent (decision 40).
-    # Nor where what is built in stands (worth.csv), nor by compass words of what is farther apart than 3 m (decision 43).
+    # Nor where what is built in stands (worth.csv), nor by compass words beyond 3 m (decision 43).
     assert texts.num_rows >= 22
     assert verify_export(config, tmp_path / "export").exit_code == 0
     scenes = published(config).table("scenes").to_pylist()
