@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import decimal
+import hashlib
 import json
 import re
 import textwrap
@@ -13,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import duckdb
 
-from condvln.export.contents import exported_snapshot
+from condvln.export.contents import exported_snapshot, file_hashes
 from condvln.export.tables import SPLITS_TABLE
 from condvln.formats.streams import atomic_path
 from jobs.report import Report, Section
@@ -139,7 +140,9 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
             if result is None:
                 raise UsageError("the statement gives no rows", place="SQL", remedy="Use a SELECT statement.")
             if out is not None:
-                return _write(result, out)
+                written = _write(result, out)
+                written.lines += _outdated(target, sql)
+                return written
             columns, rows = result.columns, result.fetchall()
         except duckdb.Error as error:
             remedy = f"Tables: {', '.join(TABLES)}. Views: {', '.join(VIEWS)}. Named queries: --list. {_SPLITS_NEED}"
@@ -149,16 +152,22 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
 
 
 def _outdated(target: Target, sql: str) -> list[str]:
-    """Return a line that says so if a query asks for `splits` and the export is that of another snapshot."""
+    """Return a line that says so if a query asks for `splits` and the export is that of another snapshot, or its table
+    is not what the export wrote.
+    """
     found = _splits_of(target) if "splits" in sql.lower() else []
     if not found:
         return []
-    exported, published = exported_snapshot(Path(found[0]).parent), target.snapshot().snapshot_id
-    if exported == published:
-        return []
-    return [
-        f"splits is of the export of snapshot {exported}, the other tables of {published}: run condvln export CONFIG"
-    ]
+    path = Path(found[0])
+    exported, published = exported_snapshot(path.parent), target.snapshot().snapshot_id
+    if exported != published:
+        return [
+            f"splits is of the export of snapshot {exported}, the other tables of {published}: "
+            "run condvln export CONFIG"
+        ]
+    if hashlib.sha256(path.read_bytes()).hexdigest() != file_hashes(path.parent).get(SPLITS_TABLE):
+        return [f"{path} is not what the export wrote: run condvln export CONFIG"]
+    return []
 
 
 def _sections(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[Section]:

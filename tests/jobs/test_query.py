@@ -116,6 +116,14 @@ def test_splits_are_those_of_the_manifests(target: Target, export: Path, tmp_pat
     assert target.config is not None
     stale = Target(target.address, target.name, target.config.model_copy(update={"export": tmp_path}))
     assert "condvln export" in query_target(stale, "SELECT count(*) FROM splits").lines[0]
+    written = query_target(stale, "SELECT * FROM splits", tmp_path / "splits.csv")
+    assert "of the export of snapshot" in written.lines[-1]
+    # Cut short, it would give smaller numbers without a word.
+    for name in ("export.json", "splits.parquet"):
+        (tmp_path / name).write_bytes((export / name).read_bytes())
+    assert not query_target(stale, "SELECT count(*) FROM splits").lines
+    pq.write_table(pq.read_table(export / "splits.parquet").slice(1), tmp_path / "splits.parquet")
+    assert "not what the export wrote" in query_target(stale, "SELECT count(*) FROM splits").lines[0]
     with pytest.raises(UsageError, match="condvln export"):
         query_target(Target(target.address, target.name), "SELECT count(*) FROM splits")
 

@@ -296,7 +296,7 @@ def test_a_superlative_needs_another_thing_of_its_label(make: Maker, room_of: Ro
     ("x", "true", "false"), [(3.0, 1, True), (3.001, 0, False), (-3.0, -1, True), (-3.001, -1, False)]
 )
 def test_a_direction_is_for_what_is_close(make: Maker, room_of: RoomOf, x: float, true: int, false: bool) -> None:
-    """Farther apart, no condition states or denies a direction; rivals are told apart by it at any distance."""
+    """Farther apart, no condition states or denies a direction. A rival may still be excluded by it."""
     objects, t = [make("a", (x, 0, 0), BALL), make("b", (0, 0, 0), BALL)], Thresholds()
     facts = text_facts(relate_room(replace(room_of(objects), floor_y=-2.0), t), t)
     assert facts.status["east of"][0, 1] == true
