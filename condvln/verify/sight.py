@@ -9,7 +9,8 @@ published, and 64 of this package's own. The package's own points decide if they
 nothing of an object of which the published points see much; in between, where either set could be right, the published
 points decide. "Much" is a share so large that two fair sets of points differ by as much once in a million tests
 (`much`). The same holds of the rectangles: those of the published points decide, unless the own points make one that is
-twice as large as needed, or many of them one of less than half.
+twice as large as needed, or many of them one of less than half. Corners join the own points here: the thin side of a
+picture has one own point or none, since they are spread over the area.
 """
 
 from __future__ import annotations
@@ -99,7 +100,8 @@ class Eyes:
 class _Points:
     """The sample points of one target.
 
-    points : (k, 3); the first `own` of them are this package's own samples
+    points : (k, 3); the first `own` of them are this package's own samples, corners of the target follow, and from
+        index `published` on the published samples
     boxes : (k,) index of the occluding box that each point lies on, -1 for none
     least : share of the points that must be visible
     sides : least shorter and longer side in degrees of the rectangle around the visible points; None for a floor
@@ -107,6 +109,7 @@ class _Points:
 
     points: F64
     own: int
+    published: int
     boxes: NDArray[np.int64]
     least: float
     sides: tuple[float, float] | None = None
@@ -121,7 +124,7 @@ class _Points:
         """
         assert self.sides is not None, "a floor is not recognised"
         least = np.array(self.sides) - ROUNDING
-        theirs = np.count_nonzero(seen[:, self.own :], axis=1) / (len(self.points) - self.own)
+        theirs = np.count_nonzero(seen[:, self.published :], axis=1) / (len(self.points) - self.published)
         if not self.own:
             published = rectangles(eyes, self.points, seen)
             return np.asarray((published >= least).all(axis=1) & (theirs >= self.least))
@@ -133,8 +136,8 @@ class _Points:
         if not len(able):
             return found
         seen, eyes, theirs, count, ours = seen[able], eyes[able], theirs[able], count[able], ours[able]
-        published = rectangles(eyes, self.points[self.own :], seen[:, self.own :])
-        own = rectangles(eyes, self.points[: self.own], seen[:, : self.own])
+        published = rectangles(eyes, self.points[self.published :], seen[:, self.published :])
+        own = rectangles(eyes, self.points[: self.published], seen[:, : self.published])
         small = (count >= MANY) & (own * LARGE < least).any(axis=1)
         large = (theirs >= self.least) & ((theirs < enough) | (ours >= self.least)) & ~small
         large &= (published >= least).all(axis=1)
@@ -147,7 +150,7 @@ class _Points:
         """
         if not self.own:
             return np.zeros(len(seen), dtype=bool)
-        ours, theirs = seen[:, : self.own].mean(axis=1), seen[:, self.own :].mean(axis=1)
+        ours, theirs = seen[:, : self.own].mean(axis=1), seen[:, self.published :].mean(axis=1)
         return np.asarray((theirs >= much(self.least, self.own)) & (ours < self.least))
 
     def degrees(self, seen: Bools, eyes: F64) -> F64:
@@ -156,9 +159,9 @@ class _Points:
         """
         if self.sides is None or not len(eyes):
             return np.zeros(len(eyes))
-        seen = seen[:, self.own :]
-        able = np.flatnonzero(np.count_nonzero(seen, axis=1) >= self.least * (len(self.points) - self.own))
-        published = rectangles(eyes[able], self.points[self.own :], seen[able])
+        seen = seen[:, self.published :]
+        able = np.flatnonzero(np.count_nonzero(seen, axis=1) >= self.least * (len(self.points) - self.published))
+        published = rectangles(eyes[able], self.points[self.published :], seen[able])
         found = np.zeros(len(eyes))
         found[able] = np.where((published >= np.array(self.sides) - ROUNDING).all(axis=1), published[:, 0], 0.0)
         return found
@@ -294,7 +297,7 @@ class Sight:
         seen = self._lines[sought].of(eyes.keys)
         least = max(min(SEEABLE_PLACES, len(eyes.places)), SEEABLE_IN_FRAME * len(eyes.places))
         several = np.count_nonzero(where.degrees(seen, eyes.places)) >= least
-        return bool(several and _share(np.asarray(seen[:, where.own :].any(axis=0))) >= SEEABLE_SHARE)
+        return bool(several and _share(np.asarray(seen[:, where.published :].any(axis=0))) >= SEEABLE_SHARE)
 
     def _cast_missing(self, wanted: Iterable[tuple[Sought, Iterable[Eyes]]]) -> None:
         """Cast all lines of sight that are not known."""
@@ -415,7 +418,7 @@ class Sight:
             known = np.count_nonzero(seen, axis=1) >= where.least * len(where.points)
         else:
             known = where.degrees(shown, eyes) > 0  # what is hidden makes nothing larger
-            published = shown & (np.arange(len(where.points)) >= where.own)
+            published = shown & (np.arange(len(where.points)) >= where.published)
             known[known] = where.degrees(self._free(where, eyes[known], published[known]), eyes[known]) > 0
             eyes = eyes[known]
             known[known] = ~where.refuted(self._free(where, eyes, shown[known]))
@@ -450,7 +453,7 @@ class Sight:
         if where is None:
             return []
         seen: Bools = np.any(self._lines[sought].of(eyes.keys), axis=0)
-        parts = (seen[: where.own], seen[where.own :])
+        parts = (seen[: where.own], seen[where.published :])
         return [round(_share(part), 3) for part in parts if len(part)]
 
     def _where(self, sought: Sought) -> _Points | None:
@@ -464,7 +467,7 @@ class Sight:
     def _of_floor(self, room_id: str) -> _Points | None:
         points = self._floor(room_id) if room_id in self._scene.room_of else np.empty((0, 3))
         outside = np.full(len(points), -1)
-        return _Points(points, 0, outside, self._rules.floor_seen) if len(points) else None
+        return _Points(points, 0, 0, outside, self._rules.floor_seen) if len(points) else None
 
     def _of_thing(self, object_id: str) -> _Points | None:
         item = self._scene.object_of.get(object_id)
@@ -474,8 +477,8 @@ class Sight:
         triangles, faces = self._triangles(item), self._faces(item)
         if triangles is None:
             points = item.center[None]
-            return _Points(points, 0, self._own_boxes(object_id, points), least, self._sides)
-        ours = evenly(triangles)
+            return _Points(points, 0, 0, self._own_boxes(object_id, points), least, self._sides)
+        ours = np.concatenate([evenly(triangles), _corners(item, triangles)])
         if known is not None and len(faces):
             published = mesh_samples(known.vertices, faces)
             lie_on = self._own_boxes(object_id, published)
@@ -485,7 +488,7 @@ class Sight:
             numbers = self._boxes.get(object_id, [-1] * len(parts))
             published, lie_on = np.concatenate(parts), np.repeat(numbers, [len(part) for part in parts])
         boxes = np.concatenate([self._own_boxes(object_id, ours), lie_on])
-        return _Points(np.concatenate([ours, published]), len(ours), boxes, least, self._sides)
+        return _Points(np.concatenate([ours, published]), OWN_POINTS, len(ours), boxes, least, self._sides)
 
     def _own_boxes(self, object_id: str, points: F64) -> NDArray[np.int64]:
         """Return for each of an object's points (k, 3) the index of the object's box that the point lies on. Of several
@@ -601,6 +604,13 @@ def evenly(triangles: F64, count: int = OWN_POINTS) -> F64:
     face = np.minimum(np.searchsorted(upto, share * upto[-1], side="right"), len(triangles) - 1)
     points: F64 = first[face] + root[:, None] * ((1 - part)[:, None] * along[face] + part[:, None] * across[face])
     return points
+
+
+def _corners(item: SceneObject, triangles: F64) -> F64:
+    """Return the vertices (8, 3) of an object's triangles (m, 3, 3) that lie farthest to the corners of its box."""
+    axes = np.eye(3) if item.obb is None else item.obb.rotation
+    vertices: F64 = triangles.reshape(-1, 3)
+    return vertices[np.argmax(vertices @ axes @ _SIGNS.T, axis=0)]
 
 
 @lru_cache(maxsize=16)
