@@ -19,7 +19,7 @@ from condvln.bias.guesser_view import Asked, GuesserView
 from condvln.bias.regression import NO_GUESS, Guesses, progressive, regressed
 from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
-from condvln.labels.lists import worth
+from condvln.labels.lists import goes_with, worth
 from schemas.program import CATEGORIES, SHAPES, Category
 
 __all__ = ["FIXED", "LEARNED", "Guesser", "Learner", "content_words", "leaf_truths", "usual_truths"]
@@ -322,6 +322,15 @@ def _worth(view: GuesserView) -> Iterator[Hashable]:
         yield k, "goal", round(10 * worth(leaf.labels[-1], leaf.room).goto)
 
 
+def _purpose(view: GuesserView) -> Iterator[Hashable]:
+    """Yield with which leaves' goals each thing that is asked about goes, and which goal is its anchor."""
+    for k, asked in enumerate(view.asked):
+        alike = goes_with().get(asked.label, frozenset())
+        fits = ["anchor" if leaf.labels[-1] == asked.anchor else leaf.labels[-1] in alike for leaf in view.leaves]
+        yield k, "goals", *fits
+        yield from ((k, leaf, fit) for leaf, fit in enumerate(fits))
+
+
 def _definiteness(view: GuesserView) -> Iterator[Hashable]:
     """Yield one feature per condition, whether it is definite, and then one feature that joins these of all
     conditions.
@@ -375,6 +384,7 @@ LEARNED: Final[Mapping[str, Learner]] = {
     # neither one of these features nor all together may predict the gold leaf
     "voice and length": _regression(_voice, _length, _definiteness),
     "worth": _regression(_worth),
+    "purpose": _regression(_purpose),
     "bag of words": _regression(_text_words),
     "words in place": _regression(_cues),
 }

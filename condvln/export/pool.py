@@ -50,7 +50,7 @@ POOL_COLUMNS: Final = (
     "max_steps",
     "instruction_text",
 )
-INSTRUCTION_COLUMNS: Final = ("instruction_id", "conditions")
+INSTRUCTION_COLUMNS: Final = ("instruction_id", "conditions", "branches", "leaves")
 
 FIT: Final = 0
 """Code of an episode that may be in a split."""
@@ -70,9 +70,10 @@ class ExportPool:
 
     ``source``, ``scene``, ``category``, ``stratum`` and ``unfit`` are indices into names; ``episode``, ``instruction``,
     ``unit`` and ``start`` (a position in a scene) are hashes.
-    ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition (label, room type, with or without a relation)
-    in the instruction of episode ``i``, ``statements`` what each says in full (None if that was not asked for),
-    ``truths`` whether it is true. ``reasons[unfit[i]]`` says why an episode can be in no split.
+    ``conditions[offsets[i]:offsets[i + 1]]`` are the kinds of condition (label, room type, and whether it is of
+    presence, of a relation, or of one to whose anchor one is sent if it holds) in the instruction of episode ``i``,
+    ``statements`` what each says in full (None if that was not asked for), ``truths`` whether it is true.
+    ``reasons[unfit[i]]`` says why an episode can be in no split.
     """
 
     sources: tuple[str, ...]
@@ -142,7 +143,8 @@ class PoolBuilder:
         for batch in batches:
             listed = batch.column("conditions")
             asked = listed.flatten()
-            relation = pc.if_else(pc.is_valid(asked.field("qualifier")), "relation", "presence")
+            there = pc.if_else(_sent_there(batch), "sent", "relation")
+            relation = pc.if_else(pc.is_valid(asked.field("qualifier")), there, "presence")
             room = asked.field("room").field("label")
             kinds = self._kinds.all(pc.binary_join_element_wise(asked.field("label"), room, relation, "\t"))
             truths = asked.field("truth").to_numpy(zero_copy_only=False).astype(bool)
@@ -277,6 +279,18 @@ class _Asked(NamedTuple):
     kinds: npt.NDArray[np.int32]
     statements: npt.NDArray[np.int32]
     truths: npt.NDArray[np.bool_]
+
+
+def _sent_there(batch: pa.RecordBatch) -> pa.Array:
+    """Return for each condition of the instructions whether one is sent to an anchor of its relation if it holds."""
+    found: list[bool] = []
+    columns = (batch.column(name).to_pylist() for name in ("conditions", "branches", "leaves"))
+    for conditions, branches, leaves in zip(*columns, strict=True):
+        goals = {b["condition"]: leaves[-1 - b["then"]]["moves"][-1]["object_id"] for b in branches if b["then"] < 0}
+        for k, condition in enumerate(conditions):
+            anchors = condition["qualifier"]["anchors"] if condition["qualifier"] else ()
+            found.append(goals.get(k) in [anchor["object_id"] for anchor in anchors])
+    return pa.array(found, pa.bool_())
 
 
 def _statements(source: str, asked: pa.StructArray, room: pa.Array) -> pa.Array:

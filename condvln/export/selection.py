@@ -104,7 +104,11 @@ def _raked(pool: ExportPool, statements: Codes, rows: Codes, seed: int) -> npt.N
 OUT: Final = -1
 """Code of an episode that is in no split."""
 
-VERSION: Final = 3
+WHOLES: Final = ("presence", "sent")
+"""Kinds of conditions whose truth is evened over all labels, too: placing finds what is there more often than that
+something is not, and less often from afar that something small is where one is sent if it is.
+"""
+VERSION: Final = 4
 """Version of the selection; raised when equal pool and configuration select other episodes than before."""
 
 LOOKAHEAD: Final = 64
@@ -167,8 +171,8 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
     order = _seeded_order(pool, config.seed)
     for split_code, split in enumerate(SPLITS):
         members = order[placed[order] == split_code]
-        # Number of true minus false conditions, by source and kind of condition; last over all kinds of presence.
-        balances = [[0] * (len(pool.kinds) + 1) for _ in pool.sources]
+        # Number of true minus false conditions, by source and kind of condition; last over all kinds of each of WHOLES.
+        balances = [[0] * (len(pool.kinds) + len(WHOLES)) for _ in pool.sources]
         for category, name in enumerate(CATEGORIES):
             blocks = {
                 source: members[(pool.category[members] == category) & (pool.source[members] == source)]
@@ -410,8 +414,8 @@ class _Picker:
 
     def _evenest(self, queue: _Queue) -> list[int] | None:
         """Remove a candidate from the queue and return its rows; None if the queue is empty. The choice among the next
-        few candidates is the one that adds least to Σ (true − false)², summed over the kinds of condition and presence
-        as a whole; on ties the earliest.
+        few candidates is the one that adds least to Σ (true − false)², summed over the kinds of condition and
+        `WHOLES`; on ties the earliest.
         """
         while queue.waiting and len(queue.window) < LOOKAHEAD:
             rows = queue.waiting.pop()
@@ -440,11 +444,10 @@ def _terms_of(pool: ExportPool, rows: npt.NDArray[np.int64]) -> dict[int, Terms]
     signs = np.where(pool.truths[places], 1, -1)
     terms = [*zip(pool.conditions[places].tolist(), signs.tolist(), strict=True)]
     bounds = zip(rows.tolist(), (ends - sizes).tolist(), ends.tolist(), strict=True)
-    presence = {kind for kind, name in enumerate(pool.kinds) if name.endswith("presence")}
-    # Placing finds what is there more often than that something is not, so presence is evened as a whole, too.
-    every = len(pool.kinds)
+    named = [name.rpartition("\t")[2] for name in pool.kinds]
+    wholes = {kind: len(named) + WHOLES.index(name) for kind, name in enumerate(named) if name in WHOLES}
     return {
-        row: [*(own := terms[begin:end]), *((every, sign) for kind, sign in own if kind in presence)]
+        row: [*(own := terms[begin:end]), *((wholes[kind], sign) for kind, sign in own if kind in wholes)]
         for row, begin, end in bounds
     }
 

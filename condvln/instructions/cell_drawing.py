@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import accumulate
 from typing import Final
@@ -15,6 +15,7 @@ from condvln.instructions.programs import composition, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
 from condvln.labels import Vocabulary
+from condvln.labels.lists import goes_with
 from condvln.seeding import Draws
 from schemas.episode import Composition
 from schemas.program import SHAPES, Category, Leaf, Program, RoomRef
@@ -23,6 +24,9 @@ __all__ = ["CellDrawing", "Seen", "WantedCell"]
 
 VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
+
+PURPOSE_TRIES: Final = 6
+"""Number of draws of stops that go with the statements of a program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,7 @@ class WantedCell:
     egocentric : whether conditions may be egocentric
     leads : whether programs have leads
     compass : share of the programs that may use compass words, in at most `compass_phrases` phrases
+    purpose : share of the programs whose goals go with what is asked
     """
 
     category: Category
@@ -51,26 +56,56 @@ class WantedCell:
     leads: bool
     compass: float
     compass_phrases: int
+    purpose: float
 
 
 @dataclass(slots=True)
 class Seen:
     """The candidates of a category so far.
 
-    keys : what tells them apart; None if candidates may be equal
-    used : how often each label is a goal
+    keys : what tells them apart as they are drawn first; None if candidates may be equal
+    sent_keys : and as they are
+    used : how often each label is a goal as it is drawn first; sent : and in the candidates
     """
 
     keys: set[tuple[object, ...]] | None = field(default_factory=set)
+    sent_keys: set[tuple[object, ...]] = field(default_factory=set)
     used: Counter[str] = field(default_factory=Counter)
+    sent: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(slots=True)
+class _Drawn:
+    """What was drawn for a program.
+
+    held : the targets that may be stops; named : the names of the stops of each leaf
+    left : numbers of egocentric phrases and of compass words that the names leave
+    """
+
+    rooms: Mapping[str, RoomRef]
+    start_room: str | None
+    held: int
+    named: list[list[StopName]]
+    left: tuple[int, int]
+    statements: list[AskedStatement]
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells the program apart."""
+        return (*((one.number, one.room.anchor_id) for one in self.statements), *map(tuple, self.named))
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels of the goals."""
+        return [leaf[-1].ref.label for leaf in self.named]
 
 
 @dataclass(slots=True)
 class _Found:
-    """The last candidate, and how far the drawing was before it."""
+    """The last candidate, as it was drawn and as it is, and how far the drawing was before it."""
 
-    labels: list[str]
-    key: tuple[object, ...]
+    drawn: _Drawn
+    sent: _Drawn
     failed: int
     left: int
 
@@ -82,6 +117,7 @@ class CellDrawing:
     ----------
     wanted : what is wanted of them
     most : most candidates; shapes : most shapes that are tried
+    goal_draws : decides which goals replace those that were drawn first, so that all else is drawn as without
     """
 
     def __init__(
@@ -90,6 +126,7 @@ class CellDrawing:
         most: int,
         shapes: int,
         draws: Draws,
+        goal_draws: Draws,
         seen: Seen,
         stops: StopSampler,
         names: StopNames,
@@ -97,6 +134,7 @@ class CellDrawing:
         vocabulary: Vocabulary,
     ) -> None:
         self._wanted, self._most, self._shapes, self._draws, self._seen = wanted, most, shapes, draws, seen
+        self._goal_draws = goal_draws
         self._stops, self._names, self._conditions, self._vocabulary = stops, names, conditions, vocabulary
         self._leaves = SHAPES[wanted.category].leaves
         self._golds: Sequence[int] = range(self._leaves)
@@ -139,6 +177,7 @@ class CellDrawing:
         """Let one shape be drawn for a candidate whose gold leaf is `gold`; forget the candidates before it."""
         self._most, self._shapes, self._failed, self._left, self._dealt = 1, 1, 0, 0, [gold]
         self._seen.used.clear()
+        self._seen.sent.clear()
 
     def refuse(self) -> None:
         """Take the last candidate back: its shape is tried again as long as it has draws left."""
@@ -147,8 +186,10 @@ class CellDrawing:
         self._failed, self._left, self._last = last.failed, last.left, None
         self._most += 1
         if self._seen.keys is not None:
-            self._seen.keys.discard(last.key)
-        self._seen.used.subtract(last.labels)
+            self._seen.keys.discard(last.drawn.key)
+            self._seen.sent_keys.discard(last.sent.key)
+        self._seen.used.subtract(last.drawn.labels)
+        self._seen.sent.subtract(last.sent.labels)
 
     def _draw_shape(self, rejected: Counter[str]) -> None:
         """Draw the gold leaf, the composition and the moves of the next candidate."""
@@ -178,35 +219,54 @@ class CellDrawing:
         ------
         GivenUp : the draw can't be completed, or has another composition, or was drawn before
         """
-        stops, statements, program = self._draw_program(rejected)
+        drawn, seen = self._draw(rejected), self._seen
+        program = self._program(drawn)
         if composition(program) != self._composition:
             raise GivenUp("composition_missed")
-        key = (*((one.number, one.room.anchor_id) for one in statements), *map(tuple, stops))
-        if self._seen.keys is not None:
-            if key in self._seen.keys:
+        if seen.keys is not None and drawn.key in seen.keys:
+            raise GivenUp("duplicate")
+        # Goals that go with what is asked replace those that were drawn at the end, where nothing depends on them, so
+        # that each statement is asked as often as without.
+        sent = self._purposeful(drawn) if self._goal_draws.uniform() < self._wanted.purpose else drawn
+        better = self._program(sent)
+        if composition(better) != self._composition or (seen.keys is not None and sent.key in seen.sent_keys):
+            sent, better = drawn, program
+        if seen.keys is not None:
+            if sent.key in seen.sent_keys:
                 raise GivenUp("duplicate")
-            self._seen.keys.add(key)
-        labels = [leaf[-1].ref.label for leaf in stops]
-        self._last = _Found(labels, key, self._failed, self._left)
-        self._seen.used.update(labels)
+            seen.keys.add(drawn.key)
+            seen.sent_keys.add(sent.key)
+        self._last = _Found(drawn, sent, self._failed, self._left)
+        seen.used.update(drawn.labels)
+        seen.sent.update(sent.labels)
         self._failed = self._left = 0
         self._most -= 1
-        return program
+        return better
 
-    def _draw_program(self, rejected: Counter[str]) -> tuple[list[list[StopName]], list[AskedStatement], Program]:
+    def _program(self, drawn: _Drawn) -> Program:
+        """Return the program of what was drawn, whose types need no check."""
+        program = Program.model_construct(
+            category=self._wanted.category,
+            conditions=tuple([self._conditions.condition(one) for one in drawn.statements]),
+            branches=SHAPES[self._wanted.category].branches,
+            leaves=tuple([Leaf.model_construct(moves=tuple([name.ref for name in leaf])) for leaf in drawn.named]),
+        )
+        return with_leads(program) if self.leads else program
+
+    def _draw(self, rejected: Counter[str]) -> _Drawn:
         """Draw rooms and stops, then names for them, then conditions whose truths lead to the gold leaf."""
         wanted, draws = self._wanted, self._draws
         assert self._composition is not None
-        stops, targets, luck = self._stops, self._stops.targets, draws.uniform()
+        stops, luck = self._stops, draws.uniform()
         room_ids, held = stops.draw_rooms(self._composition, self.moves, draws)
         if not self._compass:
             held &= stops.plain
         goals = stops.draw_goals(self._leaves, max(self.moves) - 1, held, self._goal_weights, draws)
-        things = {(targets[k].room_id, targets[k].label) for k in goals}
+        things = stops.named([goals])
         if self._conditions.fails(luck, room_ids, things):
             raise GivenUp("no_condition")
         leaves = stops.draw_leaves(self.moves, goals, held, draws)
-        things.update([(targets[k].room_id, targets[k].label) for leaf in leaves for k in leaf])
+        things |= stops.named(leaves)
         if self._conditions.fails(luck, room_ids, things):
             raise GivenUp("no_condition")
         truths = draws.choice(leading_to(wanted.category, self._gold))
@@ -214,7 +274,7 @@ class CellDrawing:
         rooms = self._names.draw_rooms(room_ids, said, draws)
         starts = [room_id for room_id in sorted(room_ids) if room_id in self._conditions.start_rooms]
         start_room = draws.choice(starts) if starts and wanted.egocentric else None
-        named, bearings, compass = self._name_stops(leaves, rooms, start_room, said)
+        named, bearings, compass = self._name_stops(leaves, rooms, start_room, said, draws)
         excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), rooms.values())
         statements = self._conditions.draw(
             truths,
@@ -229,17 +289,59 @@ class CellDrawing:
         if statements is None:
             rejected.update(rule for rule, statements in excluded.by_rule.items() if statements)
             raise GivenUp("no_condition")
-        # What is drawn needs no check of its types.
-        program = Program.model_construct(
-            category=wanted.category,
-            conditions=tuple([self._conditions.condition(one) for one in statements]),
-            branches=SHAPES[wanted.category].branches,
-            leaves=tuple([Leaf.model_construct(moves=tuple([name.ref for name in leaf])) for leaf in named]),
-        )
-        return named, statements, with_leads(program) if self.leads else program
+        return _Drawn(rooms, start_room, held, named, (bearings, compass), statements)
+
+    def _purposeful(self, drawn: _Drawn) -> _Drawn:
+        """Return the same statements with other stops, if there are any of which more goals go with what decides about
+        them. The choice depends on what is said alone, so that it does not tell the truth.
+        """
+        stops, wishes = self._stops, self._wishes(drawn.statements)
+        weights = stops.goal_weights(self._seen.sent, self._wanted.label_cap)
+        best, most, draws = drawn, 0, self._goal_draws
+        for _ in range(PURPOSE_TRIES):
+            try:
+                goals = stops.draw_goals(self._leaves, max(self.moves) - 1, drawn.held, weights, draws, wishes)
+                granted = sum(wish >> goal & 1 for wish, goal in zip(wishes, goals, strict=True))
+                if granted <= most:
+                    continue
+                leaves = stops.draw_leaves(self.moves, goals, drawn.held, draws)
+                said = Said(stops.named(leaves), self._vocabulary)
+                rooms = self._names.said_rooms(drawn.rooms, said)
+                named, *left = self._name_stops(leaves, rooms, drawn.start_room, said, draws)
+            except GivenUp:
+                continue
+            if any(now < before for now, before in zip(left, drawn.left, strict=True)):
+                continue  # the statements use what was left
+            excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), rooms.values())
+            if not any(excluded.union >> one.number & 1 for one in drawn.statements):
+                best, most = replace(drawn, named=named), granted
+        return best
+
+    def _wishes(self, statements: Sequence[AskedStatement]) -> list[int]:
+        """Return the targets that go with what decides about each leaf: where the lamp is on the desk, one is sent to
+        the desk, else to something else that goes with a lamp.
+        """
+        wishes = [0] * self._leaves
+        for branch in SHAPES[self._wanted.category].branches:
+            condition = self._conditions.condition(statements[branch.condition])
+            anchors = () if condition.qualifier is None else condition.qualifier.anchors
+            alike = self._stops.of_labels(
+                goes_with().get(condition.label, frozenset()) - {anchor.label for anchor in anchors}
+            )
+            if branch.then < 0:
+                one = len(anchors) == 1
+                wishes[-1 - branch.then] = self._stops.of_object(anchors[0].object_id) if one else alike
+            if branch.otherwise < 0:
+                wishes[-1 - branch.otherwise] = alike
+        return wishes
 
     def _name_stops(
-        self, leaves: Sequence[Sequence[int]], rooms: Mapping[str, RoomRef], start_room: str | None, said: Said
+        self,
+        leaves: Sequence[Sequence[int]],
+        rooms: Mapping[str, RoomRef],
+        start_room: str | None,
+        said: Said,
+        draws: Draws,
     ) -> tuple[list[list[StopName]], int, int]:
         """Return the names of the stops of all leaves, and the numbers of egocentric statements and of compass words
         left for conditions. An object has the same name in all leaves.
@@ -257,7 +359,7 @@ class CellDrawing:
                         target,
                         rooms[target.room_id],
                         said,
-                        self._draws,
+                        draws,
                         egocentric=here,
                         compass=compass > 0,
                         alone=len(rooms) == 1,

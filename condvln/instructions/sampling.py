@@ -260,7 +260,8 @@ class ProgramSampler:
         purpose = (*purpose, "leads") if leads else purpose
         draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose))
         kind = self._wanted_cell(cell, self.sampling.drawn_move_shares(category), leads=leads)
-        return self._drawing(kind, wanted, draws, seen)
+        goal_draws = Draws(generator(self.seed, self.scene.family, self.scene.scene_id, *purpose, "goals"))
+        return self._drawing(kind, wanted, draws, goal_draws, seen)
 
     def programs(self, cell: InstructionCell, drawing: CellDrawing, count: int) -> Iterator[Program]:
         """Yield the next `count` programs of a cell's drawing, fewer if it is exhausted."""
@@ -279,11 +280,11 @@ class ProgramSampler:
                 count -= 1
                 yield found[0]
 
-    def _drawing(self, wanted: WantedCell, most: int, draws: Draws, seen: Seen) -> CellDrawing:
+    def _drawing(self, wanted: WantedCell, most: int, draws: Draws, goal_draws: Draws, seen: Seen) -> CellDrawing:
         """Return a drawing of at most `most` candidates of a cell."""
         conditions = self._sampler_of(wanted.category)
         shapes, stops, names = most * TRIES_PER_CANDIDATE, self.stop_sampler, self.stop_names
-        return CellDrawing(wanted, most, shapes, draws, seen, stops, names, conditions, self.words)
+        return CellDrawing(wanted, most, shapes, draws, goal_draws, seen, stops, names, conditions, self.words)
 
     def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float], *, leads: bool = False) -> WantedCell:
         """Return what is wanted of the candidates of a cell.
@@ -303,6 +304,7 @@ class ProgramSampler:
             leads=leads,
             compass=self.sampling.compass_share,
             compass_phrases=self.sampling.compass_phrases,
+            purpose=self.sampling.purpose,
         )
 
     def leads_of(self, cell: InstructionCell) -> float:
@@ -336,7 +338,7 @@ class ProgramSampler:
                 # Placing takes the first groups that fit and can't choose among them by their moves, and it hardly
                 # rejects more of those with long routes. So the shares that are wanted are drawn.
                 kind = self._wanted_cell(cell, self.sampling.move_shares(cell.category))
-                drawings[cell] = self._drawing(kind, 1, draws, Seen(keys=None))
+                drawings[cell] = self._drawing(kind, 1, draws, draws, Seen(keys=None))
             drawing = drawings[cell]
             drawing.begin(draws.index(SHAPES[cell.category].leaves))
             drawing.leads = k < self.leads_of(cell) * wanted  # the first groups that fit are taken

@@ -81,6 +81,7 @@ class StopSampler:
         self.kinds = len(set(types.values()))
         self._apart, self._alike = _sets(found.apart), _sets(found.alike)
         self._of_label = self._grouped(target.label for target in found.targets)
+        self._of_object = self._grouped(target.object_id for target in found.targets)
         self._clear = self._grouped(target.clear for target in found.targets).get(True, 0)
         self.plain = self._grouped(target.plain for target in found.targets).get(True, 0)
         self._held = dict.fromkeys(types, 0) | self._grouped(target.room_id for target in found.targets)
@@ -179,9 +180,13 @@ class StopSampler:
             held |= self._held[rooms[-1]]
         return rooms, held
 
-    def draw_goals(self, n: int, waypoints: int, held: int, weights: LabelWeights, draws: Draws) -> list[int]:
+    def draw_goals(
+        self, n: int, waypoints: int, held: int, weights: LabelWeights, draws: Draws, wishes: Sequence[int] = ()
+    ) -> list[int]:
         """Return one goal for each of `n` leaves. They have different labels and are pairwise apart, and enough targets
         are left for the waypoints of the longest leaf.
+
+        wishes : the targets that are wished as the goal of each leaf, which others replace where none of them is left
 
         Raises
         ------
@@ -192,21 +197,23 @@ class StopSampler:
             raise GivenUp("label_over_cap" if self._fit(held, held, n, 0) else "no_targets")
         if not self._fit(unused, free, n, waypoints):
             raise GivenUp("no_waypoint")
-        goals: list[int] = []
-        allowed = unused
-        while len(goals) < n:
-            target = self._preferred(allowed, weights, draws)
-            if target is None:  # all were tried, so that no search is needed to know it
+        goals: dict[int, int] = {}
+        # First the leaves with the fewest wishes that are left, then those without.
+        wished = sorted((k for k, wish in enumerate(wishes) if wish), key=lambda k: (wishes[k] & unused).bit_count())
+        for leaf, wish in [*((k, wishes[k]) for k in wished), *((k, -1) for k in range(n))]:
+            if leaf in goals:
+                continue
+            allowed = unused & wish
+            while (target := self._preferred(allowed, weights, draws)) is not None:
+                rest, spare = self._beside(unused, target), free & self._apart[target]
+                if self._fit(rest, spare, n - len(goals) - 1, waypoints):
+                    goals[leaf], unused, free = target, rest, spare
+                    break
+                allowed &= ~(1 << target)
+            if target is None and wish == -1:  # all were tried, so that no search is needed to know it
                 self._answers[unused, free if waypoints else 0, n - len(goals), waypoints] = False
                 raise GivenUp("no_waypoint" if waypoints else "no_targets")
-            rest, spare = self._beside(unused, target), free & self._apart[target]
-            if self._fit(rest, spare, n - len(goals) - 1, waypoints):
-                goals.append(target)
-                allowed = unused = rest
-                free = spare
-            else:
-                allowed &= ~(1 << target)
-        return goals
+        return [goals[leaf] for leaf in range(n)]
 
     def draw_leaves(self, moves: Sequence[int], goals: Sequence[int], held: int, draws: Draws) -> list[list[int]]:
         """Return the stops of all leaves. Some leaves may begin with the same stop if no other stop is left, but never
@@ -229,6 +236,21 @@ class StopSampler:
         if max(Counter(leaf[0] for leaf in leaves).values()) > (len(leaves) + 1) // 2:
             raise GivenUp("one_first_stop")
         return leaves
+
+    def named(self, leaves: Iterable[Iterable[int]]) -> set[tuple[str, str]]:
+        """Return the room id and the label of each stop."""
+        return {(self.targets[k].room_id, self.targets[k].label) for leaf in leaves for k in leaf}
+
+    def of_labels(self, labels: Iterable[str]) -> int:
+        """Return the targets with one of some labels."""
+        found = 0
+        for label in labels:
+            found |= self._of_label.get(label, 0)
+        return found
+
+    def of_object(self, object_id: str) -> int:
+        """Return the target that is an object, as a set; an empty one if it is none."""
+        return self._of_object.get(object_id, 0)
 
     def _leaf(self, goal: int, count: int, held: int, firsts: int, draws: Draws) -> list[int]:
         """Return the stops of one leaf: `count` - 1 waypoints that are apart from one another, then `goal`. The first

@@ -260,6 +260,21 @@ class StopNames:
                 said.add(room_id, name.anchor_label)
         return found
 
+    @staticmethod
+    def said_rooms(rooms: Mapping[str, RoomRef], said: Said) -> Mapping[str, RoomRef]:
+        """Return the rooms with the names that were drawn before, and add what they name to `said`.
+
+        Raises
+        ------
+        GivenUp : a name relies on an object with the label of a stop
+        """
+        if any(room.anchor_label is not None and said.means(room.anchor_label) for room in rooms.values()):
+            raise GivenUp("circular")
+        for room_id, room in rooms.items():
+            if room.anchor_label is not None:
+                said.add(room_id, room.anchor_label)
+        return rooms
+
     def draw_stop(
         self,
         target: Target,

@@ -23,6 +23,7 @@ __all__ = [
     "Worth",
     "also_called",
     "fixtures_of",
+    "goes_with",
     "have_role",
     "labels_with_role",
     "plausible_sizes",
@@ -163,6 +164,21 @@ def worth(label: str, room_type: str) -> Worth:
     """
     found = _worths()
     return found.get((label, room_type)) or found.get((label, ""), UNLISTED)
+
+
+@cache
+def goes_with() -> Mapping[str, frozenset[str]]:
+    """Return, by label, the other labels that serve a purpose with it, from ``affinity.csv``: a towel goes with the
+    laundry basket and with the bathtub. The table was written by hand: see ``docs/language.md``.
+    """
+    purposes: dict[str, set[str]] = {}
+    for row in _rows("affinity"):
+        purposes.setdefault(row["purpose"], set()).add(row["label"])
+    found: dict[str, set[str]] = {}
+    for together in purposes.values():
+        for label in together:
+            found.setdefault(label, set()).update(together - {label})
+    return {label: frozenset(others) for label, others in found.items()}
 
 
 @cache

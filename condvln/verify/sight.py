@@ -610,7 +610,8 @@ def _corners(item: SceneObject, triangles: F64) -> F64:
     """Return the vertices (8, 3) of an object's triangles (m, 3, 3) that lie farthest to the corners of its box."""
     axes = np.eye(3) if item.obb is None else item.obb.rotation
     vertices: F64 = triangles.reshape(-1, 3)
-    return vertices[np.argmax(vertices @ axes @ _SIGNS.T, axis=0)]
+    corners: F64 = vertices[np.argmax(vertices @ axes @ _SIGNS.T, axis=0)]
+    return corners
 
 
 @lru_cache(maxsize=16)

@@ -114,7 +114,7 @@ class EpisodeStage(Stage):
     preamble: bool
     seed: int
     name: str = "episodes"
-    version: int = 37
+    version: int = 38
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
@@ -12,6 +13,7 @@ from schemas.episode import Composition
 from schemas.program import CATEGORIES, SHAPES, Category
 
 __all__ = [
+    "PAPER",
     "CompositionWeights",
     "InstructionCell",
     "InstructionsConfig",
@@ -139,6 +141,9 @@ class InstructionsConfig(WordingConfig):
     directions: Literal["compass", "egocentric", "none"] = "compass"
     """directions that texts may use. compass: compass words, and such texts open with the start heading; egocentric:
     left, right, ahead and behind as seen from the start; none: no directions"""
+    style: Literal["natural", "paper"] = "natural"
+    """natural: one is sent to a place before it is decided there, goals go with what is asked, compass words are rare;
+    paper: the form of the paper, that is other defaults of leads, thresholds.sector_within and keys of sampling"""
     per_category: dict[Category, Wanted] = Field(default_factory=lambda: dict.fromkeys(CATEGORIES, 20))
     """number of episodes wanted per scene, by category"""
     cells: tuple[InstructionCell, ...] = ()
@@ -218,19 +223,35 @@ class PredicateWeights(Section):
     """weight of “far from”"""
 
 
+PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
+    "instructions": {"leads": 0.0},
+    "thresholds": {"sector_within": 100.0},
+    "sampling": {
+        "compass_share": 1.0,
+        "compass_phrases": 8,
+        "purpose": 0.0,
+        "moves": (0.4, 0.4, 0.2),
+        "moves_four_leaves": (0.6, 0.4),
+        "moves_drawn": (0.27, 0.39, 0.34),
+        "moves_drawn_four_leaves": (0.5, 0.5),
+    },
+}
+"""Values of the style "paper", by section, where a configuration does not give them."""
+
+
 class SamplingConfig(Section):
     """How candidate programs are sampled."""
 
     candidates_per_episode: int = Field(5, ge=1, le=1000)
     """number of candidates drawn for each episode wanted, since placing rejects some"""
-    moves: tuple[Share, Share, Share] = (0.4, 0.4, 0.2)
+    moves: tuple[Share, Share, Share] = (0.7, 0.25, 0.05)
     """shares of leaves with 1, with 2 and with 3 moves, in programs with two or three leaves"""
-    moves_four_leaves: tuple[Share, Share] = (0.6, 0.4)
+    moves_four_leaves: tuple[Share, Share] = (0.85, 0.15)
     """shares of leaves with 1 and with 2 moves, in programs with four leaves"""
-    moves_drawn: tuple[Share, Share, Share] = (0.27, 0.39, 0.34)
+    moves_drawn: tuple[Share, Share, Share] = (0.6, 0.28, 0.12)
     """shares as in moves, but among drawn candidates: candidates with long routes are rejected more often, so more of
     these are drawn than are wanted"""
-    moves_drawn_four_leaves: tuple[Share, Share] = (0.5, 0.5)
+    moves_drawn_four_leaves: tuple[Share, Share] = (0.8, 0.2)
     """shares as in moves_four_leaves, but among drawn candidates"""
     presence_false_share: Share = 0.2
     """maximum share of label-only conditions among the false conditions, where a scene is one room"""
@@ -250,6 +271,9 @@ class SamplingConfig(Section):
     """share of the candidate programs that may use compass words"""
     compass_phrases: int = Field(2, ge=1, le=8)
     """maximum number of phrases with compass words in such a program"""
+    purpose: Share = 0.8
+    """share of the candidate programs whose goals are, where possible, what goes with what is asked: the desk, if the
+    lamp is on it"""
     attempts: int = Field(24, ge=1, le=10_000)
     """maximum number of draws of a condition before the candidate is given up"""
     draws_per_candidate: int = Field(20, ge=1, le=10_000)

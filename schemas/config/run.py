@@ -7,14 +7,14 @@ folders fail at once. Relative paths count from the folder of the configuration 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, JsonValue, model_validator
 
 from schemas.base import Hours, Seconds, Section, Share
 from schemas.config.constants import MOST_OBJECTS_PER_ROOM
 from schemas.config.episodes import AgentConfig, EpisodeConfig, GoalsConfig, PlacesConfig
-from schemas.config.instructions import InstructionsConfig, SamplingConfig, TextConfig
+from schemas.config.instructions import PAPER, InstructionsConfig, SamplingConfig, TextConfig
 from schemas.config.relations import Thresholds
 
 __all__ = [
@@ -173,6 +173,17 @@ class Config(Section):
     limits: LimitsConfig = Field(default_factory=LimitsConfig)
     ray: RayConfig = Field(default_factory=RayConfig)
     keep: KeepConfig = Field(default_factory=KeepConfig)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_style(cls, data: Any) -> Any:
+        asked = data.get("instructions") if isinstance(data, dict) else None
+        if not isinstance(asked, dict) or asked.get("style") != "paper":
+            return data
+        given = {name: data.get(name) or {} for name in PAPER}
+        if not all(isinstance(section, dict) for section in given.values()):
+            return data
+        return data | {name: {**PAPER[name], **section} for name, section in given.items()}
 
     @model_validator(mode="after")
     def _routes_are_long_enough(self) -> Config:

@@ -48,6 +48,16 @@ def test_set_wins_over_environment_wins_over_file(written) -> None:
     assert (config.seed, config.ray.workers) == (4, 3)
 
 
+def test_the_style_of_the_paper_is_other_defaults_and_what_is_given_stays(written) -> None:
+    natural = load_config(written(), [], {})
+    assert (natural.instructions.leads, natural.thresholds.sector_within, natural.sampling.purpose) == (0.7, 3.0, 0.8)
+    paper = load_config(written(instructions={"style": "paper"}, sampling={"compass_phrases": 3}), [], {})
+    assert (paper.instructions.leads, paper.thresholds.sector_within, paper.sampling.purpose) == (0.0, 100.0, 0.0)
+    assert (paper.sampling.moves, paper.sampling.compass_phrases) == ((0.4, 0.4, 0.2), 3)
+    asked = load_config(written(), ["instructions.style=paper"], {})
+    assert asked.sampling == paper.sampling.model_copy(update={"compass_phrases": 8})
+
+
 def test_set_reaches_into_lists(written, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     assert load_config(written(), ["sources.0.root=other"], {}).sources[0].root == tmp_path / "other"

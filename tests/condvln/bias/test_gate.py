@@ -13,6 +13,7 @@ from condvln.bias import judge, judge_export
 from condvln.bias.gate import LEAST_EPISODES
 from condvln.bias.regression import blocks
 from condvln.bias.report import ALL
+from condvln.labels.lists import goes_with
 from schemas.errors import FormatError, MissingFileError
 from tests.condvln.bias.conftest import LABELS
 
@@ -27,7 +28,7 @@ def test_fair_rows_pass(made_rows, seed: int) -> None:
     assert report.passed, report.verdict()
     assert report.verdict().startswith("no guesser beats chance")
     # A test a guesser and part, and the leaves of the cells with 200 episodes and more.
-    assert report.tests == 18 * 4 + len(report.uniformity)
+    assert report.tests == 19 * 4 + len(report.uniformity)
     assert {cell.category: cell.p for cell in report.uniformity} == {"chain": 1.0, "nested_chain": 1.0}
 
 
@@ -87,6 +88,17 @@ def test_goals_that_are_worth_more_are_found(made_rows) -> None:
             row["program"]["leaves"][row["gold_leaf"]]["moves"][-1]["label"] = "washing machine"
 
     assert "worth" in caught(made_rows(0, leak=leak))
+
+
+def test_goals_that_go_with_what_was_asked_are_found(made_rows) -> None:
+    fitting = sorted(goes_with()["towel"])
+
+    def leak(row: dict[str, Any], rng: np.random.Generator) -> None:
+        row["program"]["conditions"][0]["label"] = "towel"
+        if rng.random() < 0.6:
+            row["program"]["leaves"][row["gold_leaf"]]["moves"][-1]["label"] = str(rng.choice(fitting))
+
+    assert "purpose" in caught(made_rows(0, leak=leak))
 
 
 def test_a_voice_that_goes_with_a_leaf_is_found(made_rows) -> None:

@@ -62,7 +62,7 @@ def test_guesses_do_not_move_with_later_gold(made_rows, name: str) -> None:
         GuesserView.of({**row, "gold_leaf": SHAPES[row["category"]].leaves - 1 - row["gold_leaf"]}) if k in last else g
         for k, (row, g) in enumerate(zip(rows, views, strict=True))
     ]
-    if name not in ("bag of words", "words in place", "worth"):
+    if name not in ("bag of words", "words in place", "worth", "purpose"):
         assert (LEARNED[name](turned) == guesses).all()
         return
     # A regression has steps of its own in each category.

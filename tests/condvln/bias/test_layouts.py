@@ -13,7 +13,8 @@ from condvln.bias.report import ALL
 from condvln.instructions import LabelPriors
 from condvln.relations import TextFacts, relate_scene, text_facts
 from condvln.scene import Scene
-from schemas.config import Thresholds
+from schemas.config import SamplingConfig, Thresholds
+from schemas.config.instructions import PAPER
 from schemas.program import Category
 from tests.condvln.bias.made_apartment import made_apartment
 from tests.condvln.instructions.made_sampler import made_sampler
@@ -29,6 +30,8 @@ MOVED = 3
 """Labels that stand elsewhere in each staging; all others stand where their layout has them."""
 SIDE = 7.0
 CATEGORIES: tuple[Category, ...] = ("simple", "chain")
+PAPERS = SamplingConfig(candidates_per_episode=1, **PAPER["sampling"])
+"""With the goals and stops of the paper's form, statements foretell most."""
 
 
 def staging(layout: int, number: int) -> Scene:
@@ -64,7 +67,7 @@ def sampled(scenes, priors: LabelPriors, rows_of) -> list[dict[str, Any]]:
     return [
         row
         for scene, facts in scenes
-        for row in rows_of(made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, candidates=1))
+        for row in rows_of(made_sampler(scene, facts, priors.bits(scene, 0.05), per_category=wanted, sampling=PAPERS))
     ]
 
 
