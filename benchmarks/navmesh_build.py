@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.navigation.navmesh_file import NavMeshFile, read_navmesh
-from condvln.navigation.recast.builder import build_navmesh, build_stages
+from condvln.navigation.recast.builder import build_navmesh
 from condvln.navigation.recast.config import RecastProfile
 from condvln.navigation.settings import NavMeshSettings
 
@@ -98,7 +98,7 @@ def measure(case: Case) -> tuple[float, dict[str, float], str]:
     note = ""
     for _ in range(ROUNDS):
         marks: list[tuple[str, float]] = []
-        built = build_stages(
+        built = build_navmesh(
             case.vertices,
             case.faces,
             case.settings,
@@ -109,9 +109,9 @@ def measure(case: Case) -> tuple[float, dict[str, float], str]:
         best = min(best, end - marks[0][1])
         for (stage, begin), (_, after) in zip(marks, [*marks[1:], ("end", end)], strict=True):
             stages[stage] = min(stages.get(stage, np.inf), after - begin)
-        note = f"{built.config.width}x{built.config.depth} cells, {len(built.tile.polys)} polygons"
+        note = f"{len(built.tile.polys)} polygons"
         if case.golden is not None:
-            same = NavMeshFile.of_tile(built.tile, case.settings).to_bytes() == case.golden.to_bytes()
+            same = built.to_bytes() == case.golden.to_bytes()
             note += ", bytes equal Habitat's" if same else ", DIFFERS FROM HABITAT'S"
     return best, stages, note
 

@@ -18,7 +18,8 @@ from condvln.export.compose import ComposedScene, compose_scene, is_composed
 from condvln.export.contents import INDEX
 from condvln.export.vlnce import scene_file
 from condvln.formats.dataset_root import DatasetRoot
-from condvln.formats.streams import atomic_stream, read_unpacked
+from condvln.formats.json_entries import read_unpacked
+from condvln.formats.streams import atomic_stream
 from condvln.navigation.navmesh_file import MAX_FILE_BYTES, NavMeshFile, parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import built_path, with_shipped_navmesh

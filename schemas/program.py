@@ -7,6 +7,7 @@ point at each other by index, leaves in reading order. ``Program.walk`` gives th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Final, Literal
 
 from pydantic import Field, model_validator
@@ -33,6 +34,7 @@ __all__ = [
     "Shape",
     "anchors_of",
     "asked_in",
+    "leaf_truths",
 ]
 
 Category = Literal["simple", "nested", "deep_nested", "chain", "long_chain", "nested_chain"]
@@ -268,6 +270,23 @@ SHAPES: Final[dict[Category, Shape]] = {
 """The trees of the six categories. Depth is the deepest nesting of THEN, chain the number of tests in the top chain."""
 
 CATEGORIES: Final[tuple[Category, ...]] = tuple(SHAPES)
+
+
+@cache
+def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
+    """Return, for each leaf, the (condition index, truth) pairs on the path from the root of the tree to the leaf."""
+    shape = SHAPES[category]
+    found: dict[int, tuple[tuple[int, bool], ...]] = {}
+    ahead: list[tuple[int, tuple[tuple[int, bool], ...]]] = [(0, ())]
+    while ahead:
+        at, way = ahead.pop()
+        if at < 0:
+            found[-1 - at] = way
+            continue
+        branch = shape.branches[at]
+        ahead.append((branch.then, (*way, (branch.condition, True))))
+        ahead.append((branch.otherwise, (*way, (branch.condition, False))))
+    return tuple(found[leaf] for leaf in range(shape.leaves))
 
 
 class Program(Frozen):

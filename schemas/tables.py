@@ -22,9 +22,7 @@ __all__ = [
     "FUNNEL",
     "INSTRUCTIONS",
     "LEFT_OUT",
-    "MESH_PART",
     "OBJECTS",
-    "ORIENTED_BOX",
     "POSES",
     "QUATERNION",
     "REJECTIONS",
@@ -80,8 +78,6 @@ for _name, _inside in _DOCUMENT["structs"].items():
 
 VEC3: Final = _STRUCTS["vec3"]
 QUATERNION: Final = _STRUCTS["quaternion"]
-MESH_PART: Final = _STRUCTS["mesh_part"]
-ORIENTED_BOX: Final = _STRUCTS["oriented_box"]
 
 TABLES: Final = _schemas("tables")
 """The published tables, by name."""

@@ -20,9 +20,9 @@ from condvln.bias.regression import NO_GUESS, Guesses, progressive, regressed
 from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from condvln.labels.lists import goes_with, worth
-from schemas.program import CATEGORIES, SHAPES, Category
+from schemas.program import CATEGORIES, SHAPES, Category, leaf_truths
 
-__all__ = ["FIXED", "LEARNED", "Guesser", "Learner", "content_words", "leaf_truths", "usual_truths"]
+__all__ = ["FIXED", "LEARNED", "Guesser", "Learner", "content_words", "usual_truths"]
 
 Guesser = Callable[[GuesserView], int]
 
@@ -108,23 +108,6 @@ Key = Callable[[Asked], Hashable]
 
 Kind = Callable[[GuesserView], Iterable[Hashable]]
 """Yields the features of one kind that a regression learns from."""
-
-
-@cache
-def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
-    """Return, for each leaf, the (condition index, truth) pairs on the path from the root of the tree to the leaf."""
-    shape = SHAPES[category]
-    found: dict[int, tuple[tuple[int, bool], ...]] = {}
-    ahead: list[tuple[int, tuple[tuple[int, bool], ...]]] = [(0, ())]
-    while ahead:
-        at, way = ahead.pop()
-        if at < 0:
-            found[-1 - at] = way
-            continue
-        branch = shape.branches[at]
-        ahead.append((branch.then, (*way, (branch.condition, True))))
-        ahead.append((branch.otherwise, (*way, (branch.condition, False))))
-    return tuple(found[leaf] for leaf in range(shape.leaves))
 
 
 @cache

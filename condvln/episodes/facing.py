@@ -18,7 +18,8 @@ import shapely
 from numpy.typing import NDArray
 
 from condvln.instructions.referents import things_meant
-from condvln.labels import Vocabulary, vocabulary
+from condvln.kept import kept
+from condvln.labels import vocabulary
 from condvln.relations.directions import Sighting, bearing_status, sighted
 from condvln.scene import Scene
 from condvln.scene.scene import EVERYTHING_SEEN, Sightings
@@ -66,11 +67,9 @@ class Facings:
         places: F64,
         thresholds: Thresholds,
         sightings: Sightings = EVERYTHING_SEEN,
-        words: Vocabulary = vocabulary,
     ) -> None:
         self._scene, self._places, self._thresholds = scene, places, thresholds
-        self._sightings, self._words = sightings, words
-        self._sighted: dict[str, Sighting | None] = {}
+        self._sightings = sightings
 
     def headings(self, programs: Sequence[Program], first: float) -> Headings | None:
         """Return the start poses that `programs` allow if they share one start. Return None if no program requires a
@@ -112,7 +111,7 @@ class Facings:
         for condition in program.conditions:
             if condition.is_bearing and condition.qualifier is not None:
                 for name in things_meant(
-                    self._scene, condition.room.room_id, condition.label, self._words, self._sightings
+                    self._scene, condition.room.room_id, condition.label, vocabulary, self._sightings
                 ):
                     found.append((name, condition.qualifier.predicate, condition.truth))
         return found
@@ -125,15 +124,14 @@ class Facings:
         for leaf in program.leaves:
             for move in leaf.moves:
                 if move.is_bearing and move.qualifier is not None:
-                    for name in things_meant(self._scene, move.room.room_id, move.label, self._words, self._sightings):
+                    for name in things_meant(self._scene, move.room.room_id, move.label, vocabulary, self._sightings):
                         found.append((name, move.qualifier.predicate, name == move.object_id))
         return found
 
+    @kept
     def _sighting(self, name: str) -> Sighting | None:
-        if name not in self._sighted:
-            box = self._scene.object_of[name].box
-            self._sighted[name] = None if box is None else sighted(self._places, box, self._thresholds)
-        return self._sighted[name]
+        box = self._scene.object_of[name].box
+        return None if box is None else sighted(self._places, box, self._thresholds)
 
     @cached_property
     def _in_room(self) -> Mapping[str, Bools]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from condvln.episodes.goals import is_standable
 from condvln.episodes.observability import Observer
+from condvln.kept import kept
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import eyes_at
 from condvln.scene import Scene, round_mm
@@ -37,8 +38,6 @@ class LeadPlaces:
         self._starts, self._rooms = starts, {room.room_id: room for room in scene.rooms}
         found = round_mm(places)
         self._places = found[is_standable(pathfinder, found, rules)]
-        self._points: dict[str, F64] = {}
-        self._showing: dict[Condition, Bools] = {}
 
     def holds(self, room_id: str, points: F64, inside: float = 0.0) -> Bools:
         """Return a mask (n,) of the points (n, 3) that are in a room or on its outline, at least `inside` metres from
@@ -51,30 +50,28 @@ class LeadPlaces:
         level = np.abs(points[:, 1] - room.floor_y) <= SINK
         return np.asarray(level & shapely.covers(outline, at) & (shapely.distance(outline.boundary, at) >= inside))
 
+    @kept
     def points(self, room_id: str) -> F64:
         """Return the places (n, 3) of a room, in the order of their mean distance from the starts outside: one comes to
         the first ones soonest.
         """
-        if room_id not in self._points:
-            found = self._places[self.holds(room_id, self._places, LEAD_INSIDE)]
-            outside = self._starts[~self.holds(room_id, self._starts)]
-            if len(found) and len(outside):
-                metres = np.asarray(self._pathfinder.distance_table(outside, found), np.float64)
-                joined = np.isfinite(metres)
-                total, ways = np.where(joined, metres, 0.0).sum(axis=0), joined.sum(axis=0)
-                mean = np.where(ways > 0, total / np.maximum(ways, 1), np.inf)
-                found = found[mean.argsort(kind="stable")]
-            self._points[room_id] = found
-        return self._points[room_id]
+        found = self._places[self.holds(room_id, self._places, LEAD_INSIDE)]
+        outside = self._starts[~self.holds(room_id, self._starts)]
+        if len(found) and len(outside):
+            metres = np.asarray(self._pathfinder.distance_table(outside, found), np.float64)
+            joined = np.isfinite(metres)
+            total, ways = np.where(joined, metres, 0.0).sum(axis=0), joined.sum(axis=0)
+            mean = np.where(ways > 0, total / np.maximum(ways, 1), np.inf)
+            found = found[mean.argsort(kind="stable")]
+        return found
 
+    @kept
     def showing(self, condition: Condition) -> Bools:
         """Return a mask (n,) of the places of a condition's room from which it can be decided, whatever its truth is.
 
         Whether a lamp is near the bed is decided by all things that may be meant, and the bed; whether there is a lamp,
         by the floor and by the lamps that there are. So having such a place tells nothing of the truth.
         """
-        if condition not in self._showing:
-            eyes = eyes_at(self.points(condition.room.room_id), self._eye_height)
-            seen = [self._observer.shows(need, eyes) for need in self._observer.either_way(condition)]
-            self._showing[condition] = np.all(seen, axis=0)
-        return self._showing[condition]
+        eyes = eyes_at(self.points(condition.room.room_id), self._eye_height)
+        seen = [self._observer.shows(need, eyes) for need in self._observer.either_way(condition)]
+        return np.asarray(np.all(seen, axis=0))

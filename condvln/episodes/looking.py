@@ -27,6 +27,7 @@ from condvln.episodes.observability import Observer, SightNeed
 from condvln.episodes.placing import Rejected, Routes, yaw_quaternion
 from condvln.episodes.starts import FoundLeaf
 from condvln.episodes.view import SceneView
+from condvln.kept import kept
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import EDGE, Recognition, View, eyes_at, in_view, visible_extent
@@ -158,7 +159,6 @@ class LookingPaths:
         self.rule = Recognition.of(places, rules)
         self.towards_place = Follower(pathfinder, stop_within=_NEAR, max_actions=rules.step_ceiling)
         self.to_goal = Follower(pathfinder, max_actions=rules.step_ceiling)
-        self._masks: dict[SightNeed, Bools] = {}
         self._enough: dict[SightNeed, Bools] = {}
         self._to_object: dict[str, F64] = {}
         self._starts: dict[bytes, _Legs] = {}
@@ -385,10 +385,9 @@ class LookingPaths:
             for leaf, found in enumerate(routes.leaves)
         ]
 
+    @kept
     def _from_places(self, need: SightNeed) -> Bools:
-        if need not in self._masks:
-            self._masks[need] = self._sight(need, eyes_at(self.places, self.eye_height))
-        return self._masks[need]
+        return self._sight(need, eyes_at(self.places, self.eye_height))
 
     def _sight(self, need: SightNeed, eyes: F64) -> Bools:
         """Return whether each eye recognises an object, (n,), or which points of a floor it sees, (n, k)."""

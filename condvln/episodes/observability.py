@@ -25,7 +25,8 @@ from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
 from condvln.instructions.absence import absence_range
 from condvln.instructions.referents import things_meant
-from condvln.labels import Vocabulary, vocabulary
+from condvln.kept import kept
+from condvln.labels import vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import EDGE, Recognition, SightTarget, View, eyes_at, in_view, visible_extent
 from condvln.scene import Scene, SceneObject
@@ -91,12 +92,10 @@ class Observer:
         places: PlacesConfig,
         rules: EpisodeConfig,
         obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
-        words: Vocabulary = vocabulary,
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
-        self._scene, self._view, self._pathfinder, self._words = scene, view, pathfinder, words
+        self._scene, self._view, self._pathfinder = scene, view, pathfinder
         self._sightings = sightings
-        self._things: dict[tuple[str, str], tuple[str, ...]] = {}
         self._places, self._rules = places, rules
         self.obstacles, self._islands = obstacles, wide_islands(pathfinder, places)
         # What the level camera of the first view recognises if it turns through 360°. The floor at the agent's feet has
@@ -172,14 +171,13 @@ class Observer:
             else (np.zeros(len(eyes), bool))
         )
 
+    @kept
     def _meant(self, room_id: str, label: str) -> tuple[str, ...]:
         """Return the ids of the visible objects that a word for `label` might mean in a room. Unlabelled objects are
         included.
         """
-        if (room_id, label) not in self._things:
-            found = things_meant(self._scene, room_id, label, self._words, self._sightings)
-            self._things[room_id, label] = tuple(found)
-        return self._things[room_id, label]
+        found = things_meant(self._scene, room_id, label, vocabulary, self._sightings)
+        return tuple(found)
 
     def target(self, name: SightNeed) -> SightTarget | None:
         """Return the sight target of a piece of evidence; None for a room whose floor is unknown."""

@@ -26,6 +26,7 @@ from condvln.episodes.kernels.starts import (
     possible_starts,
     put_keys,
 )
+from condvln.kept import kept
 from condvln.navigation.kernels.projection import ANY_ISLAND, project
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.points import many_points
@@ -74,11 +75,11 @@ class GoalField:
         self.points = np.concatenate([*self.goals.values(), np.empty((0, 3))])
         counts = [len(points) for points in self.goals.values()]
         self.first = np.cumsum([0, *counts], dtype=np.int64)
-        self._apart: dict[float, Bools] = {}
 
     def __contains__(self, object_id: str) -> bool:
         return object_id in self.goals
 
+    @kept
     def apart(self, least: float) -> Bools:
         """Return a mask (n, n) of the pairs of objects, in the order of ``goals``, whose goal points are at least
         `least` metres apart, by the geodesic distances in both directions. No object is apart from itself.
@@ -86,10 +87,8 @@ class GoalField:
         Both directions count: Detour's path from a to b may be up to 2 m longer than its path from b to a on real
         navmeshes.
         """
-        if least not in self._apart:  # drawing and placing ask the same
-            mesh, asked = self.pathfinder.query_mesh, many_points(self.points)
-            self._apart[least] = apart_objects(mesh, asked, *project(mesh, asked, ANY_ISLAND), self.first, least)
-        return self._apart[least]
+        mesh, asked = self.pathfinder.query_mesh, many_points(self.points)
+        return apart_objects(mesh, asked, *project(mesh, asked, ANY_ISLAND), self.first, least)
 
     def gap(self, one: int, other: int) -> float:
         """Return the least geodesic distance in metres between the goal points of two objects, in either direction."""

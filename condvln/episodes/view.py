@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.labels import Vocabulary, vocabulary
+from condvln.kept import kept
+from condvln.labels import vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
 from condvln.navigation.sight import Recognition, SightTarget, View, in_view, visible_extent, visible_points
 from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
@@ -19,8 +18,6 @@ __all__ = ["SceneView"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-_STRUCTURE_KIND: Final = "structure"
 
 
 class SceneView:
@@ -42,19 +39,18 @@ class SceneView:
     walls_known : walls occlude
     """
 
-    def __init__(self, scene: Scene, geometry: SceneGeometry | None = None, words: Vocabulary = vocabulary) -> None:
+    def __init__(self, scene: Scene, geometry: SceneGeometry | None = None) -> None:
         self._scene = scene
         self._box_numbers: dict[str, list[int]] = {}
         self._faces: dict[str, NDArray[np.int64]] = {}
-        self._targets: dict[str, SightTarget] = {}
         self._geometry = geometry if geometry is not None and len(geometry.faces) else None
         self.approximate = self._geometry is None or self._geometry.approximate
         self.walls_known = not self.approximate or (
             self._geometry is not None and bool((self._geometry.owner == STRUCTURE).any())
         )
-        self._occluders = self._made(self._geometry, words)
+        self._occluders = self._made(self._geometry)
 
-    def _made(self, geometry: SceneGeometry | None, words: Vocabulary) -> Occluders:
+    def _made(self, geometry: SceneGeometry | None) -> Occluders:
         if geometry is not None and not geometry.approximate:
             order = np.argsort(geometry.owner, kind="stable")
             owners, starts = np.unique(geometry.owner[order], return_index=True)
@@ -62,30 +58,29 @@ class SceneView:
                 if owner != STRUCTURE:
                     self._faces[self._scene.objects[owner].object_id] = faces
             return MeshOccluders(geometry.vertices, geometry.faces)
-        boxes = self._boxes(words)
+        boxes = self._boxes()
         if geometry is None:
             return boxes
         structure = geometry.faces[geometry.owner == STRUCTURE]
         return JoinedOccluders(MeshOccluders(geometry.vertices, structure), boxes) if len(structure) else boxes
 
-    def _boxes(self, words: Vocabulary) -> BoxOccluders:
+    def _boxes(self) -> BoxOccluders:
         """Return a solid box for every solid object; the box around a room's walls is left out."""
         found: list[tuple[F64, F64, F64]] = []
         headroom: list[float] = []
         for item in self._scene.objects:
             boxes = _boxes_of(item)
-            if boxes and not _is_structure(item.label, words):
+            if boxes and not vocabulary.is_structure(item.label):
                 self._box_numbers[item.object_id] = [len(found) + k for k in range(len(boxes))]
                 found += boxes
-                headroom += [FRAME_HEADROOM if words.is_frame(item.label) else 0.0] * len(boxes)
+                headroom += [FRAME_HEADROOM if vocabulary.is_frame(item.label) else 0.0] * len(boxes)
         centers, halves, rotations = zip(*found, strict=True) if found else ((), (), np.zeros((0, 3, 3)))
         return BoxOccluders(np.reshape(centers, (-1, 3)), np.reshape(halves, (-1, 3)), np.array(rotations), headroom)
 
+    @kept
     def target(self, object_id: str) -> SightTarget:
         """Return the sample points of an object: on its surface, else on its box, else its centre."""
-        if object_id not in self._targets:
-            self._targets[object_id] = self._target(self._scene.object_of[object_id])
-        return self._targets[object_id]
+        return self._target(self._scene.object_of[object_id])
 
     def denser_target(self, object_id: str, count: int) -> SightTarget:
         """Return a sight target for an object: `count` sample points on the object's surface, or `count` on each of its
@@ -140,7 +135,3 @@ def _boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:
         return []
     low, high = item.box
     return [((low + high) / 2, np.maximum(high - low, 0.0) / 2, np.eye(3))]
-
-
-def _is_structure(label: str, words: Vocabulary) -> bool:
-    return label in words.labels and words.entry(label).kind == _STRUCTURE_KIND

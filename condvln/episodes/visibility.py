@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from condvln.episodes.floor import standing_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.view import SceneView
-from condvln.labels import Vocabulary, vocabulary
+from condvln.labels import vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import Recognition, View, eyes_at, in_view, visible_extent
 from condvln.scene import Scene, SceneObject
@@ -70,7 +70,6 @@ def scene_visibility(
     eye_height: float,
     rule: Recognition,
     obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
-    words: Vocabulary = vocabulary,
 ) -> list[Visibility]:
     """Return the visibility of every object that is not part of the building, sorted by id.
 
@@ -81,7 +80,7 @@ def scene_visibility(
     rule : when an object is recognised
     obstacles : furniture that the navmesh ignores; no agent stands in it
     """
-    things = _things(scene, words)
+    things = _things(scene)
     found: dict[str, Visibility] = {}
     for room in scene.rooms:
         eyes = eyes_at(standing_points(scene, room, pathfinder, islands, obstacles), eye_height)
@@ -102,9 +101,8 @@ def scene_visibility(
     return [found.get(item.object_id) or _from_nowhere(item) for item in things]
 
 
-def _things(scene: Scene, words: Vocabulary) -> list[SceneObject]:
-    known = words.labels
-    found = [o for o in scene.objects if o.label not in known or words.entry(o.label).kind != "structure"]
+def _things(scene: Scene) -> list[SceneObject]:
+    found = [item for item in scene.objects if not vocabulary.is_structure(item.label)]
     return sorted(found, key=lambda item: item.object_id)
 
 
@@ -136,30 +134,16 @@ def _visibility(item: SceneObject, eyes: F64, lines: Bools, degrees: F64) -> Vis
     )
 
 
-def visibility_table(scene: Scene, found: Iterable[Visibility] | None, words: Vocabulary = vocabulary) -> pa.Table:
+def visibility_table(scene: Scene, found: Iterable[Visibility] | None) -> pa.Table:
     """Return the rows of the visibility table. If `found` is None, since no positions are known, the visibility values
     are null.
     """
     rows: list[dict[str, Any]]
     if found is None:
         unknown = dict.fromkeys(VISIBILITY.names)
-        named = _things(scene, words)
-        rows = [{**unknown, "scene_id": scene.scene_id, "object_id": item.object_id} for item in named]
+        rows = [{**unknown, "scene_id": scene.scene_id, "object_id": item.object_id} for item in _things(scene)]
     else:
-        rows = [
-            {
-                "scene_id": scene.scene_id,
-                "object_id": one.object_id,
-                "seeable": one.seeable,
-                "unseen": one.unseen,
-                "places": one.places,
-                "from_places": one.from_places,
-                "share": one.share,
-                "nearest_view": one.nearest_view,
-                "degrees": one.degrees,
-            }
-            for one in found
-        ]
+        rows = [{"scene_id": scene.scene_id, **asdict(one)} for one in found]
     return pa.Table.from_pylist(rows, schema=VISIBILITY)
 
 

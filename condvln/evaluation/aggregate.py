@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.evaluation.evaluate import SWEPT, Evaluation
-from condvln.evaluation.measures import decisions
 from condvln.evaluation.metrics import METRICS
 from condvln.evaluation.task import Task
 from schemas.errors import UsageError
+from schemas.program import leaf_truths
 
 __all__ = [
     "CONFIDENCE",
@@ -173,7 +173,7 @@ def divergences(evaluation: Evaluation, tasks: Sequence[Task]) -> dict[int, tupl
     for row, task in enumerate(tasks):
         if evaluation.scores["no_commit"][row]:
             continue
-        route = len(decisions(task.program, task.gold_leaf))
+        route = len(leaf_truths(task.program.category)[task.gold_leaf])
         last = route - 1 if np.isnan(wrong_at[row]) else int(wrong_at[row])
         for place in range(last + 1):
             met[place] += 1

@@ -365,28 +365,20 @@ def stock_episodes(path: Path) -> list[StockEpisode]:
     content = document(path)
     episodes = content.get("episodes") if isinstance(content, dict) else None
     if not isinstance(episodes, list):
-        raise FormatError(
-            "the file has no list of episodes", where=path, remedy="Check the file with condvln verify PATH --lint"
-        )
+        raise _not_stock("the file has no list of episodes", path)
     found: dict[str, StockEpisode] = {}
     for number, episode in enumerate(episodes):
         name, scene = (episode.get(key) if isinstance(episode, dict) else None for key in ("episode_id", "scene_id"))
         key = episode_name(name)
         if key is None or not isinstance(scene, str):
-            raise FormatError(
-                "an episode lacks its id or its scene",
-                where=path,
-                place=f"episodes.{number}",
-                remedy="Check the file with condvln verify PATH --lint",
-            )
+            raise _not_stock("an episode lacks its id or its scene", path, f"episodes.{number}")
         if key in found:
-            raise FormatError(
-                "the id occurs twice",
-                where=path,
-                place=f"episode {name}",
-                remedy="Check the file with condvln verify PATH --lint",
-            )
+            raise _not_stock("the id occurs twice", path, f"episode {name}")
         stops = episode.get("subgoals")
         axes = dict.fromkeys(AXES) | {"source": scene.split("/")[0], "scene": scene}
         found[key] = StockEpisode(key, axes, subgoals=len(stops) if isinstance(stops, list) else 0)
     return list(found.values())
+
+
+def _not_stock(what: str, path: Path, place: str = "") -> FormatError:
+    return FormatError(what, where=path, place=place, remedy="Check the file with condvln verify PATH --lint")

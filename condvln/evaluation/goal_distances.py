@@ -53,9 +53,6 @@ ASTRAY: Final = 0.02
 positions. That move ends within 1 mm of the end of every step of the same walks.
 """
 
-_WAVE: Final = 8
-"""Number of candidates in the first batch; each batch is twice as large as the one before."""
-
 
 @dataclass(frozen=True, eq=False)
 class SnappedPath:
@@ -137,15 +134,11 @@ class Nearness:
         """
         candidates = self._candidates(path, goal[None], radius)[0]
         candidates = candidates[np.searchsorted(candidates, begin) :]
-        size = _WAVE
-        while len(candidates):
-            wave, candidates = candidates[:size], candidates[size:]
-            distances = np.asarray(self._pathfinder.geodesic_distances(path.positions[wave], goal[None]))
-            near = np.flatnonzero(distances < radius)
-            if len(near):
-                return int(wave[near[0]])
-            size *= 2
-        return None
+        if not len(candidates):
+            return None
+        distances = np.asarray(self._pathfinder.geodesic_distances(path.positions[candidates], goal[None]))
+        near = candidates[distances < radius]
+        return int(near[0]) if len(near) else None
 
     def _candidates(self, path: SnappedPath, goals: Points, radius: float) -> tuple[npt.NDArray[np.intp], Points]:
         """Return the indices of the positions on ``path`` whose geodesic distance to the goals must be computed, and

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from condvln.evaluation.goal_distances import Nearness, SnappedPath
 from schemas.errors import UsageError
-from schemas.program import Program
+from schemas.program import Program, leaf_truths
 
 __all__ = [
     "FIDELITY_DISTANCE",
@@ -24,7 +24,6 @@ __all__ = [
     "DistanceMode",
     "cls",
     "committed_leaf",
-    "decisions",
     "dtw",
     "dtw_of_costs",
     "first_divergence",
@@ -171,34 +170,15 @@ def committed_leaf(distances: Sequence[float], radius: float) -> int:
     return nearest if distances[nearest] < radius else NO_LEAF
 
 
-def decisions(program: Program, leaf: int) -> tuple[tuple[int, bool], ...]:
-    """Return the (condition index, answer) pairs on the path from the root to ``leaf``."""
-
-    def search(at: int) -> tuple[tuple[int, bool], ...] | None:
-        if at < 0:
-            return () if -1 - at == leaf else None
-        branch = program.branches[at]
-        for target, answer in ((branch.then, True), (branch.otherwise, False)):
-            below = search(target)
-            if below is not None:
-                return ((branch.condition, answer), *below)
-        return None
-
-    found = search(0)
-    if found is None:
-        raise ValueError(f"the program has no leaf {leaf}")
-    return found
-
-
 def first_divergence(program: Program, gold: int, committed: int) -> int | None:
     """Return how many conditions of the gold path the agent answered correctly before its first wrong answer; None if
     all are correct.
 
-    The condition with the wrong answer is ``decisions(program, gold)[n][0]`` for the result n.
+    The condition with the wrong answer is ``leaf_truths(program.category)[gold][n][0]`` for the result n.
     """
     if committed in (gold, NO_LEAF):
         return None
-    right, taken = decisions(program, gold), decisions(program, committed)
+    right, taken = (leaf_truths(program.category)[leaf] for leaf in (gold, committed))
     return next(place for place, (a, b) in enumerate(zip(right, taken, strict=False)) if a != b)
 
 

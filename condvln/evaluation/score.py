@@ -16,7 +16,6 @@ from condvln.evaluation.measures import (
     DistanceMode,
     cls,
     committed_leaf,
-    decisions,
     first_divergence,
     ndtw,
     reached_in_any_order_euclidean,
@@ -31,6 +30,7 @@ from schemas.errors import FormatError
 
 if TYPE_CHECKING:
     from condvln.navigation.pathfinder import Pathfinder
+from schemas.program import leaf_truths
 
 __all__ = ["START_TOLERANCE", "Score", "ScoreRules", "Sees", "branch_measures", "score"]
 
@@ -225,8 +225,8 @@ def _committing(task: Task) -> Iterator[Points]:
     """Yield, for each condition on the gold route in order, the stops and goals (k, 3) that only the leaves below its
     answer have.
     """
-    gold = decisions(task.program, task.gold_leaf)
-    routes = [decisions(task.program, leaf) for leaf in range(task.n_leaves)]
+    routes = leaf_truths(task.program.category)
+    gold = routes[task.gold_leaf]
     for at in sorted({[number for number, _ in gold].index(number) for number, _ in gold}):
         below = [leaf for leaf, route in zip(task.leaves, routes, strict=True) if route[: at + 1] == gold[: at + 1]]
         beside = {

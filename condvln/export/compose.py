@@ -198,12 +198,7 @@ class GlbWriter:
         self._required: set[str] = set()
         self._lists["nodes"].append({"name": "scene", "matrix": _columns(frame), "children": []})
         self._accessors: dict[tuple[object, ...], int] = {}
-        self._triangles = 0
-
-    @property
-    def triangles(self) -> int:
-        """Number of triangles placed so far."""
-        return self._triangles
+        self.triangles = 0
 
     def add(self, part: GlbPart) -> GlbPart:
         """Add the meshes of `part` to the scene. Return a copy of `part` that refers to its meshes by their numbers in
@@ -240,7 +235,7 @@ class GlbWriter:
                 tree: Tree = dict(node.transform)
                 if node.mesh is not None:
                     tree["mesh"] = node.mesh
-                    self._triangles += self._triangles_of(node.mesh)
+                    self.triangles += self._triangles_of(node.mesh)
                 if node.children:
                     tree["children"] = []
                 number[own] = self._node(tree, number[parent[own]] if own in parent else stand)
@@ -259,7 +254,7 @@ class GlbWriter:
         mesh = len(self._lists["meshes"])
         self._lists["meshes"].append({"primitives": primitives})
         self._node({"name": name, "mesh": mesh}, 0)
-        self._triangles += self._triangles_of(mesh)
+        self.triangles += self._triangles_of(mesh)
 
     def to_bytes(self) -> bytes:
         """Return the bytes of the file.

@@ -13,7 +13,8 @@ import orjson
 
 from condvln.export.tokens import PAD_INDEX, UNK_INDEX, Vocabulary, tokenize
 from condvln.export.vlnce import encode, oracle_episode
-from condvln.formats.streams import JsonArrayStream, atomic_stream, read_unpacked
+from condvln.formats.json_entries import read_unpacked
+from condvln.formats.streams import JsonArrayStream, atomic_stream
 from schemas.errors import FormatError
 from schemas.evaluation import ManifestEpisode
 

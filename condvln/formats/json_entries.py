@@ -22,7 +22,17 @@ from condvln.formats.json_document import TOO_DEEP, parsed_value
 from condvln.formats.regular_file import open_regular
 from schemas.errors import FormatError, MissingFileError, TruncatedError
 
-__all__ = ["MAX_ENTRY_BYTES", "document", "entries", "first_character", "head", "json_lines", "opened", "parsed"]
+__all__ = [
+    "MAX_ENTRY_BYTES",
+    "document",
+    "entries",
+    "first_character",
+    "head",
+    "json_lines",
+    "opened",
+    "parsed",
+    "read_unpacked",
+]
 
 MAX_ENTRY_BYTES: Final = 64 << 20
 """Size limit in bytes of one line, and in characters of one entry. An episode of 500 steps takes 50 kB."""
@@ -31,6 +41,9 @@ MAX_DOCUMENT_BYTES: Final = 1 << 30
 """Size limit in bytes of a file that is parsed as a whole (R2R files, results by episode). The largest known have 60
 MB.
 """
+
+LARGEST: Final = 2 << 30
+"""Size limit in bytes of a split that is read as a whole."""
 
 MAX_RATIO: Final = 200
 FREE_BYTES: Final = 256 << 20
@@ -278,13 +291,27 @@ def document(path: Path, *, nonfinite: bool = False) -> Any:
     ------
     MissingFileError, FormatError : as `opened` and `parsed`
     """
+    return parsed(read_unpacked(path, MAX_DOCUMENT_BYTES), path, "", nonfinite=nonfinite)
+
+
+def read_unpacked(path: Path, limit: int = LARGEST) -> bytes:
+    """Return all bytes of a file, decompressed if it is gzip.
+
+    Parameters
+    ----------
+    limit : size limit in bytes after decompression; a few kilobytes of gzip can hold gigabytes
+
+    Raises
+    ------
+    MissingFileError, FormatError : as `opened`, or the file is larger than ``limit``
+    """
     data = bytearray()
     with opened(path) as file:
         while block := file.read(_BLOCK):
             data += block
-            if len(data) > MAX_DOCUMENT_BYTES:
-                _refuse(path, "", f"the file is longer than {MAX_DOCUMENT_BYTES} bytes")
-    return parsed(bytes(data), path, "", nonfinite=nonfinite)
+            if len(data) > limit:
+                _refuse(path, "", f"the file is longer than {limit} bytes")
+    return bytes(data)
 
 
 def parsed(data: bytes | str, path: Path, place: str, *, nonfinite: bool = False) -> Any:

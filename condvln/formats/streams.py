@@ -7,7 +7,6 @@ path by the processor. The header has no time and no file name, so equal rows gi
 from __future__ import annotations
 
 import errno
-import gzip
 import hashlib
 import io
 import os
@@ -19,21 +18,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from condvln.formats.regular_file import open_regular
-from schemas.errors import FormatError, MissingFileError, StoreError, UsageError
+from schemas.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
     "GZIP_LEVEL",
-    "LARGEST",
     "ByteStream",
     "JsonArrayStream",
     "atomic_copy",
     "atomic_path",
     "atomic_stream",
-    "read_unpacked",
     "sync",
     "write_figure",
 ]
@@ -42,9 +38,6 @@ GZIP_LEVEL: Final = 2
 """gzip level, measured on the files of 3,044 episodes of ReplicaCAD: 2 takes two thirds of the time of 4 and a third of
 that of 6, for 17 and 34 % more bytes; 1 takes longer. These files are a fifth of an export. See benchmarks/export.py.
 """
-
-LARGEST: Final = 2 << 30
-"""Size limit in bytes of a document that is read as a whole."""
 
 _GZIP_WBITS: Final = 31
 _BUFFER: Final = 1 << 18
@@ -205,38 +198,6 @@ class JsonArrayStream:
         """Append one encoded entry."""
         self.stream.write(b"," + data if self.count else data)
         self.count += 1
-
-
-def read_unpacked(path: Path, limit: int = LARGEST) -> bytes:
-    """Return all bytes of a file, decompressed if its name ends in .gz.
-
-    Parameters
-    ----------
-    limit : size limit in bytes after decompression; a few kilobytes of gzip can hold gigabytes
-
-    Raises
-    ------
-    MissingFileError : the file does not exist
-    FormatError : the gzip data is damaged, or larger than ``limit``
-    """
-    try:
-        with open_regular(path) as file:
-            if path.suffix == ".gz":
-                with gzip.GzipFile(fileobj=file) as unpacked:
-                    data = unpacked.read(limit + 1)
-            else:
-                data = file.read(limit + 1)
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise MissingFileError("no such file", where=path, remedy="Check the path") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise FormatError(f"damaged gzip ({error})", where=path, remedy="Copy or write the file again") from error
-    except OSError as error:
-        raise FormatError(f"can't be read: {error.strerror or error}", where=path, remedy="Check the disk") from error
-    if len(data) > limit:
-        raise FormatError(
-            f"holds more than {limit / 2**30:g} GiB", where=path, remedy="Split it into one file per scene (content/)"
-        )
-    return data
 
 
 def write_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int, metadata: Any = None) -> None:

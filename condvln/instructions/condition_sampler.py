@@ -16,6 +16,7 @@ from condvln.instructions.degeneracy import Claim
 from condvln.instructions.expected_draws import FULL_MASS
 from condvln.instructions.predicates import COMPASS, PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
+from condvln.kept import kept
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
 from schemas.config import SamplingConfig
@@ -147,8 +148,6 @@ class ConditionSampler:
         self._rooms = {name: part for name, part in parts.items() if part.groups or part.pool.presence}
         self.start_rooms = tuple(name for name, part in self._rooms.items() if part.egocentric)
         self.rooms = tuple(self._rooms)
-        self._made: dict[AskedStatement, Condition] = {}
-        self._by_stop: dict[tuple[str, str], int] = {}
         self._known: dict[tuple[tuple[str, ...], str | None, int], _Left] = {}
         claims: list[Claim] = []
         self._origin: list[tuple[Statements, bool, int]] = []
@@ -222,15 +221,13 @@ class ConditionSampler:
         """
         return self.left_to_ask([room_id], self.excluded_by_stop(*stop)) > 0
 
+    @kept
     def excluded_by_stop(self, room_id: str, label: str) -> int:
         """Return the statements that can't be asked in a text with a stop, whatever else is said of it."""
-        key = (room_id, label)
-        if key not in self._by_stop:
-            excluded = self.conflicts.self_contradictory
-            for statements in self.conflicts.by_stop((room_id, None, label, ())).values():
-                excluded |= statements
-            self._by_stop[key] = excluded
-        return self._by_stop[key]
+        excluded = self.conflicts.self_contradictory
+        for statements in self.conflicts.by_stop((room_id, None, label, ())).values():
+            excluded |= statements
+        return excluded
 
     def draw(
         self,
@@ -344,24 +341,23 @@ class ConditionSampler:
         number = draws.weighted([left[k] for k in places], [weights[k] for k in places])
         return self.condition(AskedStatement(number, old.room))
 
+    @kept
     def condition(self, asked: AskedStatement) -> Condition:
         """Return the condition that asks a statement."""
-        if asked not in self._made:
-            pool, truth, k = self._origin[asked.number]
-            question = pool.question(truth, k)
-            qualifier = None
-            if question.predicate is not None:
-                arrays = self._rooms[asked.room.room_id].referents.arrays
-                qualifier = qualifier_of(arrays, question.predicate, question.anchors)
-            self._made[asked] = Condition(
-                label=question.label,
-                room=asked.room,
-                qualifier=qualifier,
-                definite=question.definite,
-                truth=question.truth,
-                witnesses=question.witnesses,
-            )
-        return self._made[asked]
+        pool, truth, k = self._origin[asked.number]
+        question = pool.question(truth, k)
+        qualifier = None
+        if question.predicate is not None:
+            arrays = self._rooms[asked.room.room_id].referents.arrays
+            qualifier = qualifier_of(arrays, question.predicate, question.anchors)
+        return Condition(
+            label=question.label,
+            room=asked.room,
+            qualifier=qualifier,
+            definite=question.definite,
+            truth=question.truth,
+            witnesses=question.witnesses,
+        )
 
 
 def _anchors(stop: ObjectRef) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Final
 
 from condvln.instructions.degeneracy import Claim
+from condvln.kept import kept
 from condvln.labels import Vocabulary
 
 __all__ = ["RULES", "Conflicts", "Phrase", "RuledOut", "members"]
@@ -61,9 +62,6 @@ class Conflicts:
                 *((self._anchored, anchor) for anchor in claim.anchors),
             ):
                 sets[key] = sets.get(key, 0) | bit
-        self._about: dict[str, tuple[int, int]] = {}
-        self._by_stop: dict[Phrase, BySet] = {}
-        self._by_claim: dict[tuple[Claim, str | None], BySet] = {}
 
     @cached_property
     def self_contradictory(self) -> int:
@@ -75,55 +73,51 @@ class Conflicts:
         """Return the statements about a room."""
         return self._in_room.get(room_id, 0)
 
+    @kept
     def about(self, label: str) -> tuple[int, int]:
         """Return the statements whose object, and those one of whose anchors, a word for `label` might mean."""
-        if label not in self._about:
-            objects = anchors = 0
-            for word in self.vocabulary.overlapping(label):
-                objects |= self._labelled.get(word, 0)
-                anchors |= self._anchored.get(word, 0)
-            self._about[label] = objects, anchors
-        return self._about[label]
+        objects = anchors = 0
+        for word in self.vocabulary.overlapping(label):
+            objects |= self._labelled.get(word, 0)
+            anchors |= self._anchored.get(word, 0)
+        return objects, anchors
 
+    @kept
     def by_stop(self, stop: Phrase) -> BySet:
         """Return the statements that the phrase of a stop excludes."""
-        if stop not in self._by_stop:
-            room_id, room_anchor, label, anchors = stop
-            here = self.in_room(room_id)
-            objects, related = self.about(label)
-            given_away = two_things = 0
-            for thing in (label, *anchors, *(() if room_anchor is None else (room_anchor,))):
-                as_object, as_anchor = self.about(thing)
-                given_away |= self.presence & as_object
-                two_things |= ~here & (as_object | as_anchor)
-            for anchor in anchors:
-                as_object, as_anchor = self.about(anchor)
-                given_away |= here & (objects & as_anchor | related & as_object)
-            names_stop = objects & (self.presence | here)
-            self._by_stop[stop] = {"names_stop": names_stop, "given_away": given_away, "two_things": two_things}
-        return self._by_stop[stop]
+        room_id, room_anchor, label, anchors = stop
+        here = self.in_room(room_id)
+        objects, related = self.about(label)
+        given_away = two_things = 0
+        for thing in (label, *anchors, *(() if room_anchor is None else (room_anchor,))):
+            as_object, as_anchor = self.about(thing)
+            given_away |= self.presence & as_object
+            two_things |= ~here & (as_object | as_anchor)
+        for anchor in anchors:
+            as_object, as_anchor = self.about(anchor)
+            given_away |= here & (objects & as_anchor | related & as_object)
+        names_stop = objects & (self.presence | here)
+        return {"names_stop": names_stop, "given_away": given_away, "two_things": two_things}
 
     def by_room_name(self, room_id: str, anchor: str) -> BySet:
         """Return the statements about a room that can't be asked since a thing names it ("the bedroom with the …")."""
         here, (objects, anchors) = self.in_room(room_id), self.about(anchor)
         return {"tautology": here & objects, "circular": here & anchors}
 
+    @kept
     def by_claim(self, claim: Claim, room_anchor: str | None) -> BySet:
         """Return the statements that another condition of the text excludes. `room_anchor` is the label of the thing
         that names its room, None for a plain name.
         """
-        key = (claim, room_anchor)
-        if key not in self._by_claim:
-            here, (objects, anchors) = self.in_room(claim.room_id), self.about(claim.label)
-            implied, two_things = here & objects, 0
-            for anchor in claim.anchors:
-                implied |= here & self.presence & self.about(anchor)[0]
-            if claim.presence:
-                implied |= here & anchors
-            for label in (claim.label, *claim.anchors, *(() if room_anchor is None else (room_anchor,))):
-                two_things |= ~here & (self.about(label)[0] | self.about(label)[1])
-            self._by_claim[key] = {"implied": implied, "one_label": objects, "two_things": two_things}
-        return self._by_claim[key]
+        here, (objects, anchors) = self.in_room(claim.room_id), self.about(claim.label)
+        implied, two_things = here & objects, 0
+        for anchor in claim.anchors:
+            implied |= here & self.presence & self.about(anchor)[0]
+        if claim.presence:
+            implied |= here & anchors
+        for label in (claim.label, *claim.anchors, *(() if room_anchor is None else (room_anchor,))):
+            two_things |= ~here & (self.about(label)[0] | self.about(label)[1])
+        return {"implied": implied, "one_label": objects, "two_things": two_things}
 
 
 class RuledOut:

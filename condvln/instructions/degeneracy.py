@@ -13,6 +13,7 @@ from functools import cache, cached_property
 from itertools import groupby, product
 from typing import Final
 
+from condvln.kept import kept
 from condvln.labels import Vocabulary
 from schemas.program import SHAPES, Category, Condition, ObjectRef, Program
 
@@ -103,15 +104,10 @@ class Presupposed:
         rooms = {room for room, _ in self.stops}
         return {one: frozenset(label for room, label in self.stops if room == one) for one in rooms}
 
+    @kept
     def labels_outside(self, room_id: str) -> frozenset[str]:
         """Return the labels of everything presupposed in all rooms except `room_id`."""
-        if room_id not in self._outside:
-            self._outside[room_id] = frozenset(label for room, label in self.things if room != room_id)
-        return self._outside[room_id]
-
-    @cached_property
-    def _outside(self) -> dict[str, frozenset[str]]:
-        return {}
+        return frozenset(label for room, label in self.things if room != room_id)
 
     @classmethod
     def by(cls, stops: Iterable[ObjectRef]) -> Presupposed:

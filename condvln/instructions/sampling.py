@@ -141,13 +141,11 @@ class ProgramSampler:
         stops: Stops | Callable[[frozenset[str]], Stops],
         preamble: bool,
         placed: bool = True,
-        words: Vocabulary = vocabulary,
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self.scene, self.wanted, self.sampling, self.seed = scene, wanted, sampling, seed
         self.preamble, self._placed = preamble, placed
         self._sayable = sayable(wanted.directions, placed=placed)
-        self.words = words
         self._reasons: dict[InstructionCell | None, Counter[str]] = {}
         astride = borders(scene)
         self.referents = {
@@ -155,7 +153,7 @@ class ProgramSampler:
                 room,
                 scene.arrays(room.room_id),
                 facts[room.room_id],
-                words,
+                vocabulary,
                 sampling.anchor_size,
                 scene.family,
                 sightings,
@@ -165,20 +163,20 @@ class ProgramSampler:
             for room in sorted(scene.rooms, key=lambda r: r.room_id)
             if room.room_id in facts
         }
-        self._names = room_refs(list(self.referents.values()), words)
+        self._names = room_refs(list(self.referents.values()), vocabulary)
         self.condition_sampler = self._alone = self._condition_sampler(bits, alone=False)
         if bits.staged:  # statements about stagings have other weights in programs of one condition
             self._alone = self._condition_sampler(bits, alone=True)
         if not isinstance(stops, Stops):
             stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))
         self.stop_sampler = StopSampler(
-            targets(self.referents, self._names, stops, sampling, words),
+            targets(self.referents, self._names, stops, sampling, vocabulary),
             {room_id: self.referents[room_id].room.label for room_id in sorted(self._names)},
             [room_id for room_id in self._names if self._is_plain(room_id)],
             self.condition_sampler.rooms,
             self.condition_sampler.is_left_by,
         )
-        self.stop_names = StopNames(self._names, self._refs_of, sampling, words)
+        self.stop_names = StopNames(self._names, self._refs_of, sampling, vocabulary)
 
     def _condition_sampler(self, bits: PriorBits, *, alone: bool) -> ConditionSampler:
         """Return a sampler of conditions about the rooms that can be named, for programs of one condition (`alone`) or
@@ -187,7 +185,7 @@ class ProgramSampler:
         return ConditionSampler(
             {name: (self.referents[name], self._pool(name, bits, alone=alone)) for name in self._names},
             self.sampling,
-            self.words,
+            vocabulary,
             [name for name in self._names if self._is_plain(name)],
             single_room=self.scene.single_room,
         )
@@ -203,7 +201,7 @@ class ProgramSampler:
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
         asked = asked_in(self.scene.family) & self._sayable
-        return ConditionPool.of(referents, bits, elsewhere, self.words, asked, alone=alone)
+        return ConditionPool.of(referents, bits, elsewhere, vocabulary, asked, alone=alone)
 
     @property
     def rejections(self) -> Counter[tuple[InstructionCell | None, str]]:
@@ -284,7 +282,7 @@ class ProgramSampler:
         """Return a drawing of at most `most` candidates of a cell."""
         conditions = self._sampler_of(wanted.category)
         shapes, stops, names = most * TRIES_PER_CANDIDATE, self.stop_sampler, self.stop_names
-        return CellDrawing(wanted, most, shapes, draws, goal_draws, seen, stops, names, conditions, self.words)
+        return CellDrawing(wanted, most, shapes, draws, goal_draws, seen, stops, names, conditions, vocabulary)
 
     def _wanted_cell(self, cell: InstructionCell, moves: Sequence[float], *, leads: bool = False) -> WantedCell:
         """Return what is wanted of the candidates of a cell.
@@ -357,7 +355,7 @@ class ProgramSampler:
     def _group(self, program: Program, seen: set[Program], draws: Draws) -> Group:
         if program in seen:
             raise GivenUp("duplicate")
-        group = counterfactual_group(program, self._sampler_of(program.category), draws, self.words)
+        group = counterfactual_group(program, self._sampler_of(program.category), draws, vocabulary)
         if group is None:
             raise GivenUp("no_twin")
         return group

@@ -12,7 +12,7 @@ from functools import cache
 from typing import Final, NamedTuple
 
 from condvln.instructions.language import Slot, language
-from schemas.program import SHAPES, Category, Condition, ObjectRef, Predicate, Program, RoomRef
+from schemas.program import Category, Condition, ObjectRef, Predicate, Program, RoomRef, leaf_truths
 
 __all__ = ["MOST_STEPS", "Mention", "Phrase", "Place", "Reading", "last_lead", "reading_of", "within_reach"]
 
@@ -112,17 +112,6 @@ def last_lead(category: Category, condition: int, leads: Mapping[int, Place]) ->
 @cache
 def _paths(category: Category) -> tuple[tuple[frozenset[int], ...], tuple[frozenset[int], ...]]:
     """Return the conditions asked on the way to each condition (itself included), and to each leaf."""
-    shape = SHAPES[category]
-    conditions: dict[int, frozenset[int]] = {}
-    leaves: dict[int, frozenset[int]] = {}
-    ahead = [(0, frozenset[int]())]
-    while ahead:
-        at, asked = ahead.pop()
-        if at < 0:
-            leaves[-1 - at] = asked
-            continue
-        branch = shape.branches[at]
-        asked |= {branch.condition}
-        conditions[branch.condition] = asked
-        ahead += [(branch.then, asked), (branch.otherwise, asked)]
-    return tuple(conditions[k] for k in sorted(conditions)), tuple(leaves[k] for k in sorted(leaves))
+    ways = [[condition for condition, _ in way] for way in leaf_truths(category)]
+    conditions = {way[k]: frozenset(way[: k + 1]) for way in ways for k in range(len(way))}
+    return tuple(conditions[k] for k in sorted(conditions)), tuple(map(frozenset, ways))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from condvln.formats.json_document import JsonNode, parse_json
-from condvln.formats.streams import read_unpacked
+from condvln.formats.json_entries import read_unpacked
 from condvln.manifest import manifest_lines, manifest_paths
 from schemas.errors import FormatError, MissingFileError
 from schemas.program import Program

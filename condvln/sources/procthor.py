@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 from condvln.formats.json_document import parse_json
 from condvln.formats.json_entries import entries, first_character
 from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
+from condvln.kept import kept
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.boxes import aabb_of, box_corners, rounded_box
@@ -135,7 +136,6 @@ class ProcthorSource(Source):
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)
-        self._open: dict[str, JsonLines] = {}
         self._list: tuple[tuple[object, ...], list[bytes], InputError | None] | None = None
         self._database: tuple[tuple[int, int], AssetDatabase | InputError] | None = None
         self._house: tuple[tuple[str, bytes], House] | None = None
@@ -307,10 +307,9 @@ class ProcthorSource(Source):
                 found[named["stem"], named["suffix"]] = path
         return dict(sorted(found.items()))
 
+    @kept
     def _lines(self, path: str) -> JsonLines:
-        if path not in self._open:
-            self._open[path] = JsonLines(self.files, path)
-        return self._open[path]
+        return JsonLines(self.files, path)
 
     def _assets(self) -> AssetDatabase:
         """Return the asset database, read again if its file has changed."""

@@ -15,6 +15,7 @@ from typing import Final
 
 from condvln.formats.dataset_root import DatasetRoot, FileListing, list_files
 from condvln.formats.json_document import JsonNode, parse_json
+from condvln.kept import kept
 from condvln.sources.source import InputLedger
 from condvln.sources.urdf import MAX_URDF_BYTES, LinkMesh, read_urdf
 from schemas.errors import ConfigError, MissingFileError, PathEscapeError
@@ -106,8 +107,6 @@ class SceneDataset:
         self.listing = FileListing()
         self._indices = {kind: self._index(kind) for kind in _KINDS}
         self._loaded: dict[str, Attribute] = {}
-        self._present: dict[str, bool] = {}
-        self._bodies: dict[str, tuple[LinkMesh, ...]] = {}
 
     def document(self, path: str) -> JsonNode:
         """Return a JSON document of the dataset.
@@ -118,12 +117,12 @@ class SceneDataset:
         """
         return parse_json(self.root.read(path, MAX_JSON_BYTES), str(self.root.folder / path))
 
+    @kept
     def has(self, path: str) -> bool:
         """Return whether a file exists; cached."""
-        if path not in self._present:
-            self._present[path] = self.root.has(path)
-        return self._present[path]
+        return self.root.has(path)
 
+    @kept
     def links(self, path: str) -> tuple[LinkMesh, ...]:
         """Return the visual meshes of a URDF file.
 
@@ -131,10 +130,8 @@ class SceneDataset:
         ------
         InputError : it is missing or malformed
         """
-        if path not in self._bodies:
-            data, where = self.root.read(path, MAX_URDF_BYTES), str(self.root.folder / path)
-            self._bodies[path] = read_urdf(data, where)
-        return self._bodies[path]
+        data, where = self.root.read(path, MAX_URDF_BYTES), str(self.root.folder / path)
+        return read_urdf(data, where)
 
     def scenes(self) -> dict[str, str]:
         """Return the path of each scene instance by scene id. The id is the file's name, with the folder in front if

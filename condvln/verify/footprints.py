@@ -17,6 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.kept import kept
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import OrientedBox, Room, Scene, SceneObject
 from condvln.seeding import generator
@@ -124,7 +125,6 @@ class Reach:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._grounds: dict[str, Ground | None] = {}
         self._known: dict[str, dict[Point, tuple[float, bool]]] = {}
 
     def around(self, object_id: str, positions: Sequence[Point]) -> tuple[tuple[float, ...], tuple[bool, ...]]:
@@ -152,12 +152,11 @@ class Reach:
         assert ground is not None
         return ground.half_round
 
+    @kept
     def _ground(self, object_id: str) -> Ground | None:
-        if object_id not in self._grounds:
-            item = self._scene.object_of.get(object_id)
-            known = item is not None and item.room_id in self._scene.room_of
-            self._grounds[object_id] = Ground(item) if item is not None and known else None
-        return self._grounds[object_id]
+        item = self._scene.object_of.get(object_id)
+        known = item is not None and item.room_id in self._scene.room_of
+        return Ground(item) if item is not None and known else None
 
 
 def _in_reach(ground: Ground, room: Room, points: F64) -> NDArray[np.bool_]:

@@ -31,6 +31,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.kept import kept
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import eyes_at
 from condvln.scene import Scene, SceneObject
@@ -400,7 +401,6 @@ class Onlookers:
     ) -> None:
         self._scene, self._sight, self._pathfinder, self._places = scene, sight, pathfinder, places
         self._hidden = hidden
-        self._eyes: dict[str, F64] = {}
         self._seen: dict[str, bool] = {}
         self._degrees: dict[tuple[str, bool], float] = {}
 
@@ -448,13 +448,12 @@ class Onlookers:
             self._seen.update(zip([name for name, _ in things], seen, strict=True))
             things = [thing for thing, found in zip(things, seen, strict=True) if not found]
 
+    @kept
     def _of_room(self, room_id: str) -> F64:
         """Return eyes (n, 3) at the positions of a room where an agent can stand."""
-        if room_id not in self._eyes:
-            floor = self._sight.floor(room_id) - np.array([0.0, FLOOR_LIFT, 0.0])
-            stood = np.asarray(self._pathfinder.are_navigable(floor)) if len(floor) else np.zeros(0, bool)
-            self._eyes[room_id] = eyes_at(floor[stood], self._places.eye_height)
-        return self._eyes[room_id]
+        floor = self._sight.floor(room_id) - np.array([0.0, FLOOR_LIFT, 0.0])
+        stood = np.asarray(self._pathfinder.are_navigable(floor)) if len(floor) else np.zeros(0, bool)
+        return eyes_at(floor[stood], self._places.eye_height)
 
 
 def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from condvln.kept import kept
 from condvln.scene import Scene, SceneObject
 from condvln.verify.containment import said_of, shut_away
 from condvln.verify.likeness import astride_rooms, left_apart
@@ -87,7 +88,6 @@ class SceneReferents:
         else:
             self.hidden, self.said, self.astride = labels.hidden, labels.said, labels.astride
         self._held, self._can_be_seen = held, can_be_seen
-        self._rooms: dict[Named | None, tuple[RoomView, str | None] | Problem] = {}
         self._things: dict[Phrase, Referent | Problem] = {}
         self._claims: dict[Phrase, Answer | Problem] = {}
         self._related: dict[tuple[str, str, str, tuple[str, ...], bool], list[tuple[Thing, Judgement]]] = {}
@@ -150,11 +150,36 @@ class SceneReferents:
         """Return whether an object is a frame (shelf, table), whose box is mostly air."""
         return self._label(item) in self.meaning.frames
 
+    @kept
     def room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
         """Return the room that a name refers to, and the id of the object that the name relies on."""
-        if named not in self._rooms:
-            self._rooms[named] = self._room(named)
-        return self._rooms[named]
+        if named is None:
+            if self.single_room:
+                return next(iter(self.rooms.values())), None
+            return Problem("room_unique", "a room's name", f"none, in a scene of {len(self.rooms)} rooms")
+        meant = self.meaning.rooms_meant_by(named.label)
+        general = self.meaning.any_room(named.label)
+        candidates = [view for view in self.rooms.values() if general or view.label in meant]
+        if named.anchor is None:
+            if not general and len(candidates) == 1 and candidates[0].label == named.label:
+                return candidates[0], None
+            return Problem("room_unique", f"one {named.label}", [view.room.room_id for view in candidates])
+        if len(candidates) < 2:
+            return Problem("room_anchor_needed", f"several rooms like a {named.label}", len(candidates))
+        having = [view for view in candidates if view.meant(named.anchor) or view.unknown(named.anchor)]
+        anchor = having[0].only(named.anchor) if len(having) == 1 else None
+        if anchor is not None and anchor.item.geometry == "none":
+            return Problem("anchor_extent", f"a {named.anchor} of known extent", anchor.object_id)
+        if anchor is None or having[0].label != named.label:
+            found = {view.room.room_id: len(view.meant(named.anchor)) for view in having}
+            return Problem("room_unique", f"one {named.label} with one {named.anchor}", found)
+        if not self._marks(anchor):
+            return Problem("anchor_fit", "something large or fixed", anchor.object_id)
+        others = [view for view in candidates if view is not having[0]]
+        unsure = [view.room.room_id for view in others if not view.knows_absence(named.anchor)]
+        if unsure:
+            return Problem("absence_known", f"rooms known to have no {named.anchor}", unsure)
+        return having[0], anchor.object_id
 
     def thing(self, phrase: Phrase, start: Standpoint | None = None) -> Referent | Problem:
         """Return the one object that a stop's phrase refers to. Return a `Problem` if there is no such object, or if
@@ -192,35 +217,6 @@ class SceneReferents:
         """
         pieces = sorted(name for name in used if name in self._pieces)
         return Problem("whole_object", "things that no region border cuts", pieces) if pieces else None
-
-    def _room(self, named: Named | None) -> tuple[RoomView, str | None] | Problem:
-        if named is None:
-            if self.single_room:
-                return next(iter(self.rooms.values())), None
-            return Problem("room_unique", "a room's name", f"none, in a scene of {len(self.rooms)} rooms")
-        meant = self.meaning.rooms_meant_by(named.label)
-        general = self.meaning.any_room(named.label)
-        candidates = [view for view in self.rooms.values() if general or view.label in meant]
-        if named.anchor is None:
-            if not general and len(candidates) == 1 and candidates[0].label == named.label:
-                return candidates[0], None
-            return Problem("room_unique", f"one {named.label}", [view.room.room_id for view in candidates])
-        if len(candidates) < 2:
-            return Problem("room_anchor_needed", f"several rooms like a {named.label}", len(candidates))
-        having = [view for view in candidates if view.meant(named.anchor) or view.unknown(named.anchor)]
-        anchor = having[0].only(named.anchor) if len(having) == 1 else None
-        if anchor is not None and anchor.item.geometry == "none":
-            return Problem("anchor_extent", f"a {named.anchor} of known extent", anchor.object_id)
-        if anchor is None or having[0].label != named.label:
-            found = {view.room.room_id: len(view.meant(named.anchor)) for view in having}
-            return Problem("room_unique", f"one {named.label} with one {named.anchor}", found)
-        if not self._marks(anchor):
-            return Problem("anchor_fit", "something large or fixed", anchor.object_id)
-        others = [view for view in candidates if view is not having[0]]
-        unsure = [view.room.room_id for view in others if not view.knows_absence(named.anchor)]
-        if unsure:
-            return Problem("absence_known", f"rooms known to have no {named.anchor}", unsure)
-        return having[0], anchor.object_id
 
     def _anchors(self, view: RoomView, labels: Sequence[str]) -> tuple[Thing, ...] | Problem:
         found: list[Thing] = []

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Set
 from functools import cached_property
 
+from condvln.kept import kept
 from condvln.scene import Room, SceneObject
 from condvln.verify.containment import FROM_SCANS
 from condvln.verify.likeness import (
@@ -60,7 +61,6 @@ class RoomView:
         self.surroundings = Surroundings(things, room.floor_y, thresholds, said)
         self._meaning, self._family = meaning, family
         self._named: dict[str, tuple[Thing, ...]] = {}
-        self._meant: dict[str, tuple[Thing, ...]] = {}
         self._open: dict[str, frozenset[str]] = {}
         self._vague: dict[str, frozenset[str]] = {}
         self._confused: dict[str, frozenset[str]] = {}
@@ -91,11 +91,10 @@ class RoomView:
         """Labels of the objects that are not in a shut container."""
         return frozenset(thing.label for thing in self.things)
 
+    @kept
     def meant(self, label: str) -> tuple[Thing, ...]:
         """Return all visible objects that a word for `label` might mean."""
-        if label not in self._meant:
-            self._meant[label] = tuple(thing for thing in self._called(label) if self.is_seen(thing))
-        return self._meant[label]
+        return tuple(thing for thing in self._called(label) if self.is_seen(thing))
 
     def unknown(self, label: str) -> tuple[Thing, ...]:
         """Return all invisible objects that a word for `label` might mean; they can't be claimed to be absent."""

@@ -20,6 +20,7 @@ from pydantic import ValidationError
 
 from condvln.formats.json_entries import json_lines
 from condvln.formats.regular_file import read_regular
+from condvln.kept import kept
 from condvln.navigation.graph_pathfinder import ViewpointGraph
 from condvln.scene import Room, Scene
 from condvln.verify.certificate import Certificate, VerifierRules
@@ -134,23 +135,21 @@ class PlacedOnGraph:
             room.room_id: shapely.Polygon(room.polygon) for room in scene.rooms if room.polygon is not None
         }
         self._inside = {room.room_id: self._viewpoints_in(room) for room in scene.rooms}
-        self._away: dict[str, dict[str, float]] = {}
 
+    @kept
     def distances(self, object_id: str) -> dict[str, float]:
         """Return the distance in metres on the ground from an object's box to each viewpoint at which a stop for it may
         lie; empty if there is no such object.
         """
-        if object_id not in self._away:
-            item = self._scene.object_of.get(object_id)
-            found: dict[str, float] = {}
-            if item is not None and item.room_id in self._scene.room_of:
-                here = self._inside[item.room_id]
-                if not here.any():
-                    here = self._adjoining(self._scene.room_of[item.room_id])
-                away = Ground(item).distances(self._map.places)
-                found = {self._map.graph.ids[k]: float(away[k]) for k in np.flatnonzero(here).tolist()}
-            self._away[object_id] = found
-        return self._away[object_id]
+        item = self._scene.object_of.get(object_id)
+        found: dict[str, float] = {}
+        if item is not None and item.room_id in self._scene.room_of:
+            here = self._inside[item.room_id]
+            if not here.any():
+                here = self._adjoining(self._scene.room_of[item.room_id])
+            away = Ground(item).distances(self._map.places)
+            found = {self._map.graph.ids[k]: float(away[k]) for k in np.flatnonzero(here).tolist()}
+        return found
 
     def _viewpoints_in(self, room: Room) -> NDArray[np.bool_]:
         places = self._map.places

@@ -31,7 +31,6 @@ from jobs.stages.inputs import (
     bits_of,
     dump,
     facts_of,
-    keep_programs,
     programs_of,
     scene_of,
     source_of,
@@ -211,7 +210,6 @@ class EpisodeStage(Stage):
         kept = [(name, programs[name]) for name in names]
         kept += [(name, examples[name]) for name in sorted(examples.keys() - programs.keys())]
         table, sha256 = instruction_table(scene.scene_id, kept), None if scene.navmesh is None else scene.navmesh.sha256
-        keep_programs(table, dict(kept))
         compositions = dict(zip(names, table["composition"].to_pylist(), strict=False))
         placements = PLACEMENTS.empty_table() if sha256 is None else placements_table(scene, pool, compositions, sha256)
         return StageOutput(

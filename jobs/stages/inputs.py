@@ -40,8 +40,6 @@ __all__ = [
     "bits_of",
     "dump",
     "facts_of",
-    "keep_facts",
-    "keep_programs",
     "navmeshes_table",
     "pathfinder_of",
     "programs_of",
@@ -95,20 +93,13 @@ class _Latest(Generic[V]):
 
     def get(self, parts: tuple[object, ...], make: Callable[[], V]) -> V:
         """Return the cached value if each of `parts` is the same object as before or equal to it; else call `make`."""
-        known = self.known(parts)
-        if known is not None:
-            return known
+        kept = self._kept
+        if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
+            return kept[1]
         self._kept = None  # freed before the next one is made
         made = make()
         self._kept = (parts, made)
         return made
-
-    def known(self, parts: tuple[object, ...]) -> V | None:
-        """Return the cached value if each of `parts` is the same object as before or equal to it, else None."""
-        kept = self._kept
-        if kept is not None and len(kept[0]) == len(parts) and all(map(_same, kept[0], parts)):
-            return kept[1]
-        return None
 
 
 def _same(one: object, other: object) -> bool:
@@ -121,8 +112,6 @@ def _same(one: object, other: object) -> bool:
 
 _scenes: Final[_Latest[Scene]] = _Latest()
 _walkables: Final[_Latest[Walkable]] = _Latest()
-_facts: Final[_Latest[Mapping[str, TextFacts]]] = _Latest()
-_programs: Final[_Latest[Mapping[str, Program]]] = _Latest()
 _priors: Final[_Latest[LabelPriors]] = _Latest()
 _bits: Final[_Latest[PriorBits]] = _Latest()
 
@@ -156,20 +145,11 @@ def walkable_of(unit: Unit, scene: Scene, tables: Tables, max_climb: float) -> W
     return _walkables.get((scene, unit, tables["navmeshes"], max_climb), make)
 
 
-def keep_facts(scene: Scene, relations: pa.Table, thresholds: Thresholds, facts: Mapping[str, TextFacts]) -> None:
-    """Cache what text may state about a scene's rooms, by room id, for which `relations` was made."""
-    _facts.get((scene, relations, thresholds), lambda: facts)
-
-
 def facts_of(scene: Scene, relations: pa.Table, thresholds: Thresholds) -> Mapping[str, TextFacts]:
     """Return what text may state about a scene's rooms, by room id, from the scene's table of relations."""
-
-    def read() -> dict[str, TextFacts]:
-        rooms = (scene.arrays(room.room_id) for room in scene.rooms)
-        found = (RoomRelations.from_table(relations, arrays, thresholds) for arrays in rooms)
-        return {one.room_id: text_facts(one, thresholds) for one in found}
-
-    return _facts.get((scene, relations, thresholds), read)
+    rooms = (scene.arrays(room.room_id) for room in scene.rooms)
+    found = (RoomRelations.from_table(relations, arrays, thresholds) for arrays in rooms)
+    return {one.room_id: text_facts(one, thresholds) for one in found}
 
 
 def bits_of(
@@ -185,18 +165,9 @@ def bits_of(
     return _bits.get((scene, priors, sampling, directions, places), read)
 
 
-def keep_programs(table: pa.Table, programs: Mapping[str, Program]) -> None:
-    """Cache the programs by id that `table` was made of, so that the next stage of the scene need not parse it."""
-    _programs.get((table,), lambda: programs)
-
-
 def programs_of(table: pa.Table, names: pa.ChunkedArray) -> dict[str, Program]:
     """Return the programs with the instruction ids `names` by their ids, in the order of a table of programs."""
-    known = _programs.known((table,))
-    if known is None:
-        return dict(programs_from_table(table.filter(pc.is_in(table["instruction_id"], value_set=names))))
-    wanted = set(names.to_pylist())
-    return {name: program for name, program in known.items() if name in wanted}
+    return dict(programs_from_table(table.filter(pc.is_in(table["instruction_id"], value_set=names))))
 
 
 def dump(section: Section) -> dict[str, JSON]:

@@ -20,7 +20,7 @@ from condvln.relations import relate_scene, relation_table, text_facts
 from condvln.scene.meshes import shared_library
 from condvln.scene.tables import scene_tables
 from factory.stage import Aggregate, Stage, StageOutput, Unit
-from jobs.stages.inputs import Tables, dump, keep_facts, navmeshes_table, scene_of, source_of, walkable_of
+from jobs.stages.inputs import Tables, dump, navmeshes_table, scene_of, source_of, walkable_of
 from schemas.canonical import JSON
 from schemas.config import (
     AgentConfig,
@@ -99,9 +99,7 @@ class RelationStage(Stage):
         scene = scene_of(unit, upstream)
         relations = relate_scene(scene, self.thresholds, shared_library(scene.root).world_mesh)
         facts = {room_id: text_facts(found, self.thresholds) for room_id, found in relations.items()}
-        table = relation_table(scene, relations, self.thresholds, facts)
-        keep_facts(scene, table, self.thresholds, facts)
-        return StageOutput(tables={"relations": table})
+        return StageOutput(tables={"relations": relation_table(scene, relations, self.thresholds, facts)})
 
 
 COUNTING: Final = 19

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from condvln.export.staging import alone_in
-from condvln.formats.streams import read_unpacked
+from condvln.formats.json_entries import read_unpacked
 from jobs.configuration import load_config
 from jobs.export import export_snapshot_of, graphs_of
 from jobs.generate import run_generate

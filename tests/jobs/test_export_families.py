@@ -10,7 +10,7 @@ from rich.console import Console
 
 from condvln.evaluation.split import split_tasks
 from condvln.export.splits import SPLITS
-from condvln.formats.streams import read_unpacked
+from condvln.formats.json_entries import read_unpacked
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from condvln.samples import FAMILIES
 from jobs.generate import run_generate

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from condvln.export.snapshot import export_snapshot
-from condvln.formats.streams import read_unpacked
+from condvln.formats.json_entries import read_unpacked
 from condvln.labels import vocabulary
 from condvln.manifest import manifest_path, read_manifest
 from jobs.command import app

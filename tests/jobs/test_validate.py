@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from condvln.formats.streams import read_unpacked
+from condvln.formats.json_entries import read_unpacked
 from condvln.navigation.graph_pathfinder import read_connectivity
 from condvln.samples import make_samples
 from jobs.command import app

@@ -22,7 +22,7 @@ from condvln.export.contents import CERTIFICATES, INDEX, ORIGIN
 from condvln.export.validation.episodes import Document, PathfinderOf, check_document
 from condvln.export.validation.findings import Finding, LintReport
 from condvln.export.validation.paths import check_r2r, check_truths
-from condvln.formats.streams import read_unpacked
+from condvln.formats.json_entries import read_unpacked
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder

@@ -7,14 +7,14 @@ tile, no border, watershed regions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from condvln.formats.triangles import MeshSource, PlacedMesh, mesh_triangles
 from condvln.navigation.navmesh_file import NavMeshFile
-from condvln.navigation.recast.compact import CompactHeightfield, compact, distance_field, erode
+from condvln.navigation.recast.compact import compact, distance_field, erode
 from condvln.navigation.recast.config import (
     MEMORY_LIMIT_BYTES,
     RecastConfig,
@@ -22,7 +22,7 @@ from condvln.navigation.recast.config import (
     checked_triangles,
     walkable_faces,
 )
-from condvln.navigation.recast.contours import Contours, merge_holes, trace_contours
+from condvln.navigation.recast.contours import merge_holes, trace_contours
 from condvln.navigation.recast.detail import DetailMesh, build_detail
 from condvln.navigation.recast.geometry import Array
 from condvln.navigation.recast.heightfield import (
@@ -49,7 +49,7 @@ from condvln.navigation.tile import (
 )
 from schemas.errors import FormatError, InputError
 
-__all__ = ["BuildStages", "Notify", "assemble_tile", "build_navmesh", "build_scene_navmesh", "build_stages"]
+__all__ = ["Notify", "assemble_tile", "build_navmesh", "build_scene_navmesh"]
 
 # Detour counts detail vertices in sixteen bits, and the highest bit of a neighbour marks another tile.
 MAX_DETAIL_VERTICES = 0xFFFF
@@ -144,86 +144,6 @@ def _polygon_bounds(detail: DetailMesh) -> tuple[Floats, Floats]:
 Notify = Callable[[str], None]
 
 
-@dataclass(frozen=True, eq=False)
-class BuildStages:
-    """Results of the stages of one build, in order.
-
-    Attributes
-    ----------
-    solid : heightfield as rasterised
-    filtered : its area ids after the low-hanging, the ledge and the low-height filter, (s,) uint8 each
-    compact : walkable spans before erosion
-    eroded : their area ids after it
-    distance, region : (s,) int32, per compact span
-    """
-
-    config: RecastConfig
-    solid: Heightfield
-    filtered: tuple[Array, Array, Array]
-    compact: CompactHeightfield
-    eroded: Array
-    distance: Array
-    region: Array
-    raw_contours: Contours
-    contours: Contours
-    polymesh: PolyMesh
-    detail: DetailMesh
-    tile: NavMeshTile
-
-
-def build_stages(
-    vertices: npt.ArrayLike,
-    faces: npt.ArrayLike,
-    settings: NavMeshSettings,
-    profile: RecastProfile = RecastProfile.HABITAT_0_3_4,
-    *,
-    memory_limit: int = MEMORY_LIMIT_BYTES,
-    report: Notify | None = None,
-) -> BuildStages:
-    """Build a navmesh and keep the results of every stage. Parameters and errors are those of ``build_navmesh``."""
-    begin = report or (lambda _: None)
-    begin("checking triangles")
-    points, corners = checked_triangles(vertices, faces)
-    config = RecastConfig.of(points, settings, memory_limit)
-    begin("rasterising")
-    solid = rasterize(points, corners, walkable_faces(points, corners, config.walkable_slope_cosine), config)
-    begin("filtering")
-    filtered = _filter(solid, settings, profile, config)
-    begin("connecting")
-    field = compact(solid, filtered[-1], config.walkable_height, config.walkable_climb)
-    eroded = erode(field, config.walkable_radius)
-    begin("partitioning")
-    distance, highest = distance_field(field, eroded)
-    region, count = watershed(field, eroded, distance, highest)
-    region, _ = merge_regions(field, eroded, region, count, config.min_region_area, config.merge_region_area)
-    begin("tracing contours")
-    raw_contours, contours = trace_contours(field, eroded, region, config.max_edge_error, config.max_edge_length)
-    contours = merge_holes(contours)
-    begin("making polygons")
-    mesh = build_polymesh(contours, config.verts_per_poly)
-    begin("sampling heights")
-    detail = build_detail(mesh, field, region, config)
-    begin("assembling the tile")
-    tile = assemble_tile(mesh, detail, config, settings)
-    return BuildStages(
-        config, solid, filtered, field, eroded, distance, region, raw_contours, contours, mesh, detail, tile
-    )
-
-
-def _filter(
-    solid: Heightfield, settings: NavMeshSettings, profile: RecastProfile, config: RecastConfig
-) -> tuple[Array, Array, Array]:
-    first = second = third = solid.area
-    if settings.filter_low_hanging_obstacles:
-        first = second = third = filter_low_hanging_obstacles(solid, config.walkable_climb)
-    if settings.filter_ledge_spans:
-        second = third = filter_ledges(replace(solid, area=first), config.walkable_height, config.walkable_climb)
-    if settings.filter_walkable_low_height_spans:
-        strict = profile is RecastProfile.HABITAT_0_3_3
-        third = filter_low_height(replace(solid, area=second), config.walkable_height, strict)
-    return first, second, third
-
-
 def build_navmesh(
     vertices: npt.ArrayLike,
     faces: npt.ArrayLike,
@@ -253,11 +173,41 @@ def build_navmesh(
     InputError
         There is no walkable floor.
     """
-    settings = settings or NavMeshSettings()
-    stages = build_stages(
-        vertices, faces, settings, RecastProfile.named(profile), memory_limit=memory_limit, report=report
-    )
-    return NavMeshFile.of_tile(stages.tile, settings)
+    settings, begin = settings or NavMeshSettings(), report or (lambda _: None)
+    begin("checking triangles")
+    points, corners = checked_triangles(vertices, faces)
+    config = RecastConfig.of(points, settings, memory_limit)
+    begin("rasterising")
+    solid = rasterize(points, corners, walkable_faces(points, corners, config.walkable_slope_cosine), config)
+    begin("filtering")
+    area = _filtered(solid, settings, RecastProfile.named(profile), config)
+    begin("connecting")
+    field = compact(solid, area, config.walkable_height, config.walkable_climb)
+    eroded = erode(field, config.walkable_radius)
+    begin("partitioning")
+    distance, highest = distance_field(field, eroded)
+    region, count = watershed(field, eroded, distance, highest)
+    region, _ = merge_regions(field, eroded, region, count, config.min_region_area, config.merge_region_area)
+    begin("tracing contours")
+    contours = merge_holes(trace_contours(field, eroded, region, config.max_edge_error, config.max_edge_length))
+    begin("making polygons")
+    mesh = build_polymesh(contours, config.verts_per_poly)
+    begin("sampling heights")
+    detail = build_detail(mesh, field, region, config)
+    begin("assembling the tile")
+    return NavMeshFile.of_tile(assemble_tile(mesh, detail, config, settings), settings)
+
+
+def _filtered(solid: Heightfield, settings: NavMeshSettings, profile: RecastProfile, config: RecastConfig) -> Array:
+    """Return the area ids of the spans after the filters."""
+    if settings.filter_low_hanging_obstacles:
+        solid = replace(solid, area=filter_low_hanging_obstacles(solid, config.walkable_climb))
+    if settings.filter_ledge_spans:
+        solid = replace(solid, area=filter_ledges(solid, config.walkable_height, config.walkable_climb))
+    if settings.filter_walkable_low_height_spans:
+        strict = profile is RecastProfile.HABITAT_0_3_3
+        solid = replace(solid, area=filter_low_height(solid, config.walkable_height, strict))
+    return solid.area
 
 
 def build_scene_navmesh(

@@ -60,8 +60,8 @@ class Contours:
 
 def trace_contours(
     field: CompactHeightfield, area: Array, region: Array, max_error: np.float32, max_edge_length: int
-) -> tuple[Contours, Contours]:
-    """Return the raw and the simplified outlines of all regions: outer outlines, and outlines of holes.
+) -> Contours:
+    """Return the simplified outlines of all regions: outer outlines, and outlines of holes.
 
     Parameters
     ----------
@@ -69,10 +69,9 @@ def trace_contours(
     region : (s,) int32
     max_error, max_edge_length : cells; a length of 0 never splits long wall edges
     """
-    raw, raw_start, simple, simple_start, regions, areas = _trace(
-        field.width, field.column, field.floor, field.neighbour, area, region, max_error, max_edge_length
+    return Contours(
+        *_trace(field.width, field.column, field.floor, field.neighbour, area, region, max_error, max_edge_length)
     )
-    return Contours(raw, raw_start, regions, areas), Contours(simple, simple_start, regions, areas)
 
 
 @inlined
@@ -257,28 +256,26 @@ def _trace(
     region: Array,
     max_error: np.float32,
     max_edge_length: int,
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     edges = _open_edges(neighbour, region)
     # Every step along an outline uses one open edge, and simplification only removes points.
     total = 0
     for i in range(len(edges)):
         for direction in range(4):
             total += (edges[i] >> direction) & 1
-    raw = np.empty((total + 1, 4), np.int32)
+    points = np.empty((total + 1, 4), np.int32)
     simple = np.empty((total + 1, 4), np.int32)
     kept = np.empty(total + 2, np.int32)
-    raw_start = np.zeros(64, np.int32)
-    simple_start = np.zeros(64, np.int32)
+    start = np.zeros(64, np.int32)
     regions = np.empty(64, np.int32)
     areas = np.empty(64, np.int32)
     contours = 0
     for i in range(len(edges)):
         if edges[i] == 0:
             continue
-        points = raw[raw_start[contours] :]
         n = _walk(i, width, column, floor, neighbour, area, region, edges, points)
         m = _simplify(points, n, max_error, max_edge_length, kept)
-        out = simple[simple_start[contours] :]
+        out = simple[start[contours] :]
         for j in range(m):
             for k in range(3):
                 out[j, k] = points[kept[j], k]
@@ -288,21 +285,12 @@ def _trace(
         if m >= LEAST_POINTS:
             regions = grown(regions, contours + 1)
             areas = grown(areas, contours + 1)
-            raw_start = grown(raw_start, contours + 2)
-            simple_start = grown(simple_start, contours + 2)
+            start = grown(start, contours + 2)
             regions[contours] = region[i]
             areas[contours] = area[i]
-            raw_start[contours + 1] = raw_start[contours] + n
-            simple_start[contours + 1] = simple_start[contours] + m
+            start[contours + 1] = start[contours] + m
             contours += 1
-    return (
-        raw[: raw_start[contours]],
-        raw_start[: contours + 1],
-        simple[: simple_start[contours]],
-        simple_start[: contours + 1],
-        regions[:contours],
-        areas[:contours],
-    )
+    return simple[: start[contours]], start[: contours + 1], regions[:contours], areas[:contours]
 
 
 @inlined

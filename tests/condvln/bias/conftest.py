@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from condvln.bias.guessers import leaf_truths
 from condvln.instructions import ProgramSampler, instruction_id, render
-from schemas.program import SHAPES, Category
+from schemas.program import SHAPES, Category, leaf_truths
 
 LABELS = ("lamp", "sofa", "bed", "stool", "sink", "desk", "plant", "towel", "mirror", "clock", "rug", "oven")
 ROOMS = ("kitchen", "bedroom", "bathroom")

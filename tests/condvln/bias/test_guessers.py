@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from condvln.bias.guesser_view import GuesserView
-from condvln.bias.guessers import FIXED, LEARNED, leaf_truths
+from condvln.bias.guessers import FIXED, LEARNED
 from condvln.bias.regression import BLOCKS, NO_GUESS, blocks, progressive
-from schemas.program import CATEGORIES, SHAPES, Program
+from schemas.program import CATEGORIES, SHAPES, Program, leaf_truths
 
 
 def test_blocks_hold_whole_scenes_and_lose_none() -> None:

@@ -13,12 +13,11 @@ import pyarrow as pa
 import pytest
 
 from condvln.bias import judge
-from condvln.bias.guessers import leaf_truths
 from condvln.export.pool import INSTRUCTION_COLUMNS, ExportPool, PoolBuilder, hashes_of
 from condvln.export.selection import SCENES, raked
 from condvln.export.snapshot import export_snapshot
 from schemas.config import SplitsConfig
-from schemas.program import CATEGORIES, Category
+from schemas.program import CATEGORIES, Category, leaf_truths
 from tests.condvln.export.test_selection import pool_of
 from tests.made_snapshot import made_snapshot
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from condvln.export.validation import Options, validate
-from condvln.formats import streams
+from condvln.formats import json_entries
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from schemas.errors import UsageError
 from tests.condvln.export.findings import bert_as_published, codes, errors, rxr_as_published, write
@@ -253,11 +253,11 @@ def test_scans_of_two_r2r_splits_must_differ(tmp_path: Path) -> None:
 
 
 def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams.read_unpacked, "__defaults__", (1 << 20,))
+    monkeypatch.setattr(json_entries.read_unpacked, "__defaults__", (1 << 20,))
     (tmp_path / "x.json.gz").write_bytes(gzip.compress(b" " * (2 << 20)))
     (finding,) = validate(tmp_path)
     assert finding.code == "unreadable"
-    assert "holds more than" in finding.message
+    assert "is longer than 1048576 bytes" in finding.message
 
 
 def test_no_file_is_an_error(tmp_path: Path) -> None:
@@ -275,5 +275,5 @@ def test_what_is_no_file_is_a_finding(tmp_path: Path) -> None:
     assert {file: code for file, (code, _) in found.items()} == dict.fromkeys(
         ["fifo.json.gz", "zero.json", "itself.json", r"\xff.json"], "unreadable"
     )
-    assert found["fifo.json.gz"][1] == "can't be read: it is a FIFO, not a file"
-    assert found["zero.json"][1] == "can't be read: it is a character device, not a file"
+    assert found["fifo.json.gz"][1] == "the file can't be read (it is a FIFO, not a file)"
+    assert found["zero.json"][1] == "the file can't be read (it is a character device, not a file)"

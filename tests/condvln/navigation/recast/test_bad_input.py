@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from condvln.navigation.recast import build_navmesh
-from condvln.navigation.recast.builder import build_stages
 from condvln.navigation.recast.config import MEMORY_LIMIT_BYTES
 from condvln.navigation.recast.contours import Contours
 from condvln.navigation.recast.polymesh import build_polymesh
@@ -96,8 +95,8 @@ def test_thin_meshes(plate) -> None:
 def test_high_meshes(join, plate) -> None:
     with pytest.raises(FormatError, match=r"8500 cells high, each of 0\.2 m, but a tile holds at most 8,191"):
         build_navmesh(*join(plate(0, 0, 4, 4), plate(0, 0, 4, 4, y=1700)))
-    stages = build_stages(*join(plate(0, 0, 4, 4), plate(0, 0, 4, 4, y=1638.19)), NavMeshSettings())
-    assert stages.solid.top.max() == 8191
+    high = build_navmesh(*join(plate(0, 0, 4, 4), plate(0, 0, 4, 4, y=1638.19)))
+    assert high.tile.verts[:, 1].max() == pytest.approx(1638.2)
 
 
 def test_more_floors_than_a_column_can_hold(join, plate) -> None:
