@@ -1,18 +1,13 @@
 """``condvln benchmark build`` and ``check``: build a version of a benchmark from your own copies of the datasets, or
 check that they give the published version.
 
-What a version is made of is frozen in one file. A build writes ``benchmark.json`` into its export: the snapshot's id,
+A build writes ``benchmark.json`` into its export: the snapshot's id,
 the versions, and for each scene the hash of its source files and of its rows. `check` makes the rows from other copies
 and compares: equal ids, or the scenes that differ and why.
-
-``python -m jobs.benchmark configs/benchmark-v2.yaml benchmark-v2`` makes a draft final. The second argument is the
-release, or the tag in the repository, by which users find the code that builds it.
 """
 
 from __future__ import annotations
 
-import argparse
-import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import orjson
-import yaml
 from pydantic import ValidationError
 from rich.console import Console
 
@@ -46,7 +40,6 @@ from schemas.benchmark import (
     BenchmarkSource,
     BenchmarkStops,
 )
-from schemas.canonical import digest
 from schemas.config import Config
 from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
 
@@ -56,9 +49,6 @@ __all__ = [
     "build_benchmark",
     "cell_table",
     "check_benchmark",
-    "freeze",
-    "frozen_parts",
-    "other_parts",
     "other_versions",
     "part_lines",
     "portable",
@@ -72,7 +62,7 @@ RECORD: Final = "benchmark.json"
 """File name of the record in the export's folder."""
 
 _SHOWN: Final = 20
-_REMEDY: Final = "Compare it with configs/benchmark-v1.yaml."
+_REMEDY: Final = "Compare it with configs/benchmark.yaml."
 _NOT_HERE: Final = "it is not among these copies"
 _NOT_THERE: Final = "it is not in the published benchmark"
 
@@ -99,9 +89,9 @@ class Benchmark:
         UsageError : a text of `scenes` is not of that form, or the run has no source of its family
         """
         if not path.is_file():
-            raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark-v1.yaml.")
+            raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark.yaml.")
         try:
-            file = BenchmarkFile.model_validate(read_yaml(path, "configs/benchmark-v1.yaml"))
+            file = BenchmarkFile.model_validate(read_yaml(path, "configs/benchmark.yaml"))
         except ValidationError as error:
             first = error.errors()[0]
             raise ConfigError(
@@ -159,13 +149,9 @@ def build_benchmark(
 
     Raises
     ------
-    UsageError : the benchmark file is of a final version, and the code of this installation has other versions, or the
-        configuration was changed
     CondVLNError : from the run
     """
     benchmark = Benchmark.read(path, overrides, scenes=scenes)
-    if not benchmark.file.draft:
-        _refuse_other_code(path, benchmark)
     report = run_generate(benchmark.config, inline=inline, console=console)
     if report.exit_code not in (0, ProofError.exit_code):
         return report
@@ -175,11 +161,9 @@ def build_benchmark(
     with atomic_stream(export / RECORD) as stream:
         stream.write(_encoded(record))
     short = list(short_lines(benchmark.file, record))
-    other = other_versions(benchmark.file.stages, record.stages, "in the draft's file")
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
         f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
-        *([f"other versions of the code: {other}"] if other else []),
         *part_lines(benchmark.file, record),
     ]
     lines += short
@@ -230,8 +214,6 @@ def check_benchmark(
             f"{other}",
             *keys,
         ]
-        if not benchmark.file.draft:
-            lines.append(f"{_code_of(benchmark.file)}, to compare the rows")
         return _check_report(theirs, lines, [], snapshot_id=None, same=None)
     run = run_generate(benchmark.config.model_copy(update={"export": None}), inline=inline, console=console)
     if run.exit_code not in (0, ProofError.exit_code):
@@ -402,32 +384,6 @@ def _differences(theirs: BenchmarkRecord, snapshot: Snapshot) -> Iterator[tuple[
                 yield scene, "; ".join(filter(None, (files or "its files are the same", rows)))
 
 
-def _code_of(file: BenchmarkFile) -> str:
-    return f"Take the code of {file.release} (in a clone: git checkout {file.release})"
-
-
-def _refuse_other_code(path: Path, benchmark: Benchmark) -> None:
-    """Raise an error if this installation or this configuration can't make the final version that the file freezes."""
-    file = benchmark.file
-    name = f"{file.benchmark} {file.version}"
-    other = other_versions(file.stages, code_versions(benchmark.config), f"in {name}")
-    if other:
-        raise UsageError(
-            f"{name} can't be built with this release, whose code has other versions: {other}",
-            where=str(path),
-            place="stages",
-            remedy=f"{_code_of(file)}, or a benchmark file of this release.",
-        )
-    parts = other_parts(file, benchmark.config)
-    if parts:
-        raise UsageError(
-            f"the configuration is not that of {name}: it differs in {', '.join(parts)}",
-            where=str(path.parent / file.run),
-            remedy="Change nothing but folders, 'ray', 'keep' and 'limits', and leave out the sources that you don't "
-            f"have. If nothing was changed, the code is another one. {_code_of(file)}.",
-        )
-
-
 def _key_lines(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
     other = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
     return [f"the configuration differs in: {', '.join(other)}"] if other else []
@@ -508,8 +464,6 @@ def stop_table(config: Config, record: BenchmarkRecord) -> Section:
 
 _OF_THIS_MACHINE: Final = {"store", "export", "ray", "keep", "limits"}
 _PATHS: Final = {"root", "regions", "houses", "connectivity"}
-_UNFROZEN: Final = {"name", "sources"}
-_DRAFT: Final = "-draft"
 
 
 def portable(config: Config) -> dict[str, Any]:
@@ -521,18 +475,6 @@ def portable(config: Config) -> dict[str, Any]:
     return document
 
 
-def frozen_parts(config: Config) -> dict[str, str]:
-    """Return the SHA-256 of each section of the configuration that affects rows, and of the sources of each family
-    (``sources.<family>``).
-    """
-    document = portable(config)
-    families: dict[str, list[Any]] = {}
-    for source in document["sources"]:
-        families.setdefault(f"sources.{source['family']}", []).append(source)
-    sections = {key: value for key, value in document.items() if key not in _UNFROZEN}
-    return {name: digest(value) for name, value in sorted({**sections, **families}.items())}
-
-
 def other_versions(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> str:
     """Return the versions `here` that differ from `theirs`, as text; `where` says whose the latter are."""
     names = [*here, *(name for name in theirs if name not in here)]
@@ -541,55 +483,3 @@ def other_versions(theirs: Mapping[str, int], here: Mapping[str, int], where: st
         for name in names
         if here.get(name) != theirs.get(name)
     )
-
-
-def other_parts(file: BenchmarkFile, config: Config) -> list[str]:
-    """Return the parts of the configuration that are not as a final version froze them. A family without a source does
-    not count: not everyone has every dataset.
-    """
-    here = frozen_parts(config)
-    missing = {name for name in file.configuration.keys() - here.keys() if not name.startswith("sources.")}
-    return sorted(missing | {name for name, value in here.items() if file.configuration.get(name) != value})
-
-
-def freeze(path: Path, file: BenchmarkFile, config: Config, release: str) -> BenchmarkFile:
-    """Make a draft final: rewrite its file with the present configuration and the name of the release.
-
-    Raises
-    ------
-    UsageError : the version is final already, or was drafted for other versions of the code
-    """
-    if not file.draft:
-        raise UsageError(f"{file.benchmark} {file.version} is final already", where=str(path))
-    other = other_versions(file.stages, code_versions(config), "in the draft's file")
-    if other:
-        raise UsageError(
-            f"the draft is of other versions of the code: {other}", where=str(path), remedy="Update the draft first."
-        )
-    text = path.read_text(encoding="utf-8")
-    text = re.sub(r"(?m)^version: .*$", f"version: {file.version.removesuffix(_DRAFT)}", text)
-    text = re.sub(r"(?m)^draft: true$", f"draft: false\nrelease: {release}", text)
-    parts = "".join(f"  {name}: {value}\n" for name, value in frozen_parts(config).items())
-    text = f"{text.rstrip()}\n# SHA-256 of each part of the run's configuration that decides rows.\n"
-    text += f"configuration:\n{parts}"
-    final = BenchmarkFile.model_validate(yaml.safe_load(text))
-    with atomic_stream(path) as stream:
-        stream.write(text.encode())
-    return final
-
-
-def main() -> None:
-    """Make a draft final; see `freeze`."""
-    from jobs.benchmark import Benchmark
-
-    parser = argparse.ArgumentParser(description="Make the draft of a benchmark final.")
-    parser.add_argument("benchmark", type=Path, help="benchmark file, such as configs/benchmark-v1.yaml")
-    parser.add_argument("release", help="release or tag of the repository that has this version's code")
-    asked = parser.parse_args()
-    draft = Benchmark.read(asked.benchmark, check_roots=False)
-    final = freeze(asked.benchmark, draft.file, draft.config, asked.release)
-    print(f"{final.benchmark} {final.version} is final; its code is {final.release}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,11 @@
-"""Documents of a benchmark: the file that freezes a version, the record of a build, and a leaderboard."""
+"""Documents of a benchmark: the file that defines a version, the record of a build, and a leaderboard."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from schemas.base import Document, Finite, VersionedDocument
 from schemas.unit import Hash32, Hash64
@@ -27,7 +27,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class BenchmarkFile(Document):
-    """``configs/benchmark-v1.yaml``: the content of one version of a benchmark."""
+    """``configs/benchmark.yaml``: the content of one version of a benchmark."""
 
     benchmark: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     version: str = Field(min_length=1, max_length=100)
@@ -45,20 +45,6 @@ class BenchmarkFile(Document):
     """splits in which every cell must reach the floor"""
     scenes: dict[str, Count] = Field(default_factory=dict)
     """number of scenes that the run takes of whole copies of the datasets, by family; a build with fewer says so"""
-    stages: dict[str, int]
-    """versions of the code that decides rows: of each stage, of the priors, and of the choice of episodes (select)"""
-    release: str | None = Field(None, min_length=1, max_length=100)
-    """release or tag of the repository whose code builds the version; of final versions only"""
-    configuration: dict[str, Hash64] = Field(default_factory=dict)
-    """SHA-256 of each part of the run's configuration that decides rows; of final versions only"""
-
-    @model_validator(mode="after")
-    def _names_what_it_freezes(self) -> BenchmarkFile:
-        if self.draft and (self.release or self.configuration):
-            raise ValueError("a draft freezes neither 'release' nor 'configuration'")
-        if not self.draft and not (self.release and self.configuration):
-            raise ValueError("a final version needs 'release' and 'configuration'")
-        return self
 
 
 class BenchmarkCell(Document):

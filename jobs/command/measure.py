@@ -320,7 +320,7 @@ benchmarks = typer.Typer(
 )
 
 BenchmarkPath = Annotated[
-    Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, such as configs/benchmark-v1.yaml")
+    Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, such as configs/benchmark.yaml")
 ]
 
 OwnScenes = Annotated[

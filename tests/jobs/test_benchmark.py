@@ -25,9 +25,6 @@ from jobs.benchmark import (
     Benchmark,
     build_benchmark,
     check_benchmark,
-    freeze,
-    frozen_parts,
-    other_parts,
     part_lines,
     read_record,
 )
@@ -37,7 +34,6 @@ from jobs.pipeline import code_versions
 from schemas.errors import ConfigError, FormatError, MissingFileError, UsageError
 from tests.ending import kill_driver
 
-OLD = {"scene": 8, "relations": 3, "visibility": 2, "programs": 21, "episodes": 15, "text": 14}
 """Versions of stages that are past."""
 
 
@@ -55,28 +51,9 @@ def written(folder: Path, root: Path, **changes: Any) -> Path:
     }
     (folder / "run.yaml").write_text(yaml.safe_dump(run))
     document = {"benchmark": "small", "version": "v0", "draft": True, "run": "run.yaml", "floor": 5}
-    document |= {"instructions": 100, "stages": OLD, **changes}
+    document |= {"instructions": 100, **changes}
     (folder / "benchmark.yaml").write_text(yaml.safe_dump(document))
     return folder / "benchmark.yaml"
-
-
-def versions_of(path: Path) -> dict[str, int]:
-    """The versions in the code."""
-    return code_versions(Benchmark.read(path).config)
-
-
-def edited(path: Path, **changes: Any) -> Path:
-    """The file of a benchmark with these changes."""
-    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **changes}, sort_keys=False))
-    return path
-
-
-def final(path: Path, release: str = "small-v0") -> Path:
-    """The file of a draft made final with the versions in the code."""
-    here = code_versions(Benchmark.read(path, check_roots=False).config)
-    draft = Benchmark.read(edited(path, version="v0-draft", stages=here), check_roots=False)
-    freeze(path, draft.file, draft.config, release)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -98,12 +75,7 @@ def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> N
     assert report.exit_code == 3, "cells below the floor, and too few instructions"
     record = read_record(path.parent / "export")
     assert "v0 (draft: it may still change)" in report.lines[0]
-    here = versions_of(path)
-    assert record.stages == here
-    text = f"text {here['text']} (in the draft's file: {OLD['text']})"
-    assert report.lines[1].startswith("other versions of the code: scene ")
-    assert f"priors {here['priors']} (in the draft's file: none)" in report.lines[1]
-    assert text in report.lines[1]
+    assert record.stages == code_versions(Benchmark.read(path).config)
     assert any(line.startswith(f"SHORT: {record.instructions} instructions of 100") for line in report.lines)
     assert record.draft
     assert set(record.scenes) == {f"replicacad/made_00{k}" for k in range(2)}
@@ -183,7 +155,7 @@ def test_a_build_tells_every_cell_and_the_stops_before_the_goals(built: tuple[Pa
     assert {one.leaves for one in record.stops} == {2}
     for one, row in zip(record.stops, tables["Stops before the goal"].rows, strict=True):
         shares = " / ".join(f"{100 * n / sum(one.stops):.1f}" for n in one.stops)
-        assert row == (one.split, 2, sum(one.stops), shares, "40 / 40 / 20")
+        assert row == (one.split, 2, sum(one.stops), shares, "70 / 25 / 5")
 
 
 def test_a_build_that_reaches_its_floors_exits_with_zero(built: tuple[Path, Any], tmp_path: Path) -> None:
@@ -236,18 +208,17 @@ def test_a_check_names_missing_scenes_and_keys(built: tuple[Path, Any], dataset:
 def test_a_release_that_can_not_make_the_published_rows_compares_nothing(
     built: tuple[Path, Any], dataset: Path, tmp_path: Path
 ) -> None:
-    """It runs no stage, and says where the code is that can."""
+    """It runs no stage."""
     record = json.loads((built[0].parent / "export" / RECORD).read_text())
     record["stages"]["priors"] += 1
     (tmp_path / RECORD).write_text(json.dumps(record))
-    path = edited(final(written(tmp_path / "mine", dataset)), version="v0")
+    path = written(tmp_path / "mine", dataset)
     report = check_benchmark(path, tmp_path / RECORD, inline=True)
     assert (report.exit_code, report.document["same"], report.document["scenes"]) == (3, None, [])
     assert report.lines[0].startswith("ROWS NOT COMPARED: ")
     assert report.lines[0].endswith(
         f": priors {record['stages']['priors'] - 1} (published: {record['stages']['priors']})"
     )
-    assert "Take the code of small-v0 (in a clone: git checkout small-v0), to compare the rows" in report.lines
     assert not (path.parent / "store" / "units").exists()
 
 
@@ -392,67 +363,6 @@ def test_a_board_with_scenes_has_a_row_of_looker(tmp_path: Path) -> None:
     assert right["looker"] >= 0.9
 
 
-def test_a_final_version_is_not_built_with_the_code_of_another(dataset: Path, tmp_path: Path) -> None:
-    """Told before any scene is read, with the release to take; a draft is built all the same, and says so in a line."""
-    path = final(written(tmp_path / "final", dataset))
-    here = versions_of(path)
-    for name in ("text", "priors", "select"):
-        edited(path, stages={**here, name: here[name] + 1})
-        with pytest.raises(UsageError, match=r"small v0 can't be built with this release") as raised:
-            build_benchmark(path, inline=True)
-        assert str(raised.value).count("(in small v0: ") == 1
-        assert f": {name} {here[name]} (in small v0: {here[name] + 1})" in str(raised.value)
-        assert "git checkout small-v0" in raised.value.remedy
-    assert not (path.parent / "store").exists()
-
-
-def test_a_final_version_is_not_built_with_another_configuration(dataset: Path, tmp_path: Path) -> None:
-    """Folders and what concerns the machine may differ, and sources may be missing."""
-    path = final(written(tmp_path / "final", dataset))
-    for changed, said in (
-        (["seed=5"], "seed"),
-        (["thresholds.near=1.4", "instructions.per_category.simple=7"], "instructions, thresholds"),
-        (["sources.0.scenes=[made_000]"], "sources.replicacad"),
-        (["sources.0.family=hssd"], "sources.hssd"),
-    ):
-        with pytest.raises(UsageError, match=r"the configuration is not that of small v0") as raised:
-            build_benchmark(path, changed, inline=True)
-        assert f"it differs in {said}" in str(raised.value)
-        assert "git checkout small-v0" in raised.value.remedy
-    assert not (path.parent / "store").exists()
-    copy = shutil.copytree(dataset, tmp_path / "copy")
-    benchmark = Benchmark.read(path, ["store=elsewhere", f"sources.0.root={copy}", "ray.workers=1", "name=other"])
-    assert other_parts(benchmark.file, benchmark.config) == []
-    assert other_parts(benchmark.file, benchmark.config.model_copy(update={"sources": ()})) == []
-
-
-def test_a_final_version_is_built_with_its_code(built: tuple[Path, Any], tmp_path: Path) -> None:
-    folder = shutil.copytree(built[0].parent, tmp_path / "copy")
-    report = build_benchmark(final(folder / "benchmark.yaml"), inline=True)
-    assert report.lines[0].startswith("small v0: snapshot ")
-    assert not any("draft" in line or "other versions" in line for line in report.lines)
-    assert not read_record(folder / "export").draft
-    board = score_benchmark(folder / "export", "val_unseen", [], references=False)
-    assert not any("draft" in line for line in board.lines)
-
-
-def test_the_export_of_a_final_version_is_scored_by_later_releases(
-    built: tuple[Path, Any], dataset: Path, tmp_path: Path
-) -> None:
-    """Which have other versions, and can't build it."""
-    folder = shutil.copytree(built[0].parent, tmp_path / "copy")
-    path = final(folder / "benchmark.yaml")
-    build_benchmark(path, inline=True)
-    record = json.loads((folder / "export" / RECORD).read_text())
-    before = score_benchmark(folder / "export", "val_unseen", [], roots=[dataset])
-    later = {name: version - 1 for name, version in record["stages"].items()}
-    (folder / "export" / RECORD).write_text(json.dumps({**record, "stages": later}))
-    edited(path, stages=later)
-    with pytest.raises(UsageError, match="can't be built with this release"):
-        build_benchmark(path, inline=True)
-    assert score_benchmark(folder / "export", "val_unseen", [], roots=[dataset]).document == before.document
-
-
 def test_a_user_names_the_datasets_that_are_there(dataset: Path, tmp_path: Path) -> None:
     """The others are left out, and what the version says of those that are there holds."""
     exclude = ["train-9*"]
@@ -460,14 +370,13 @@ def test_a_user_names_the_datasets_that_are_there(dataset: Path, tmp_path: Path)
         {"family": "procthor", "root": "nowhere", "exclude": exclude},
         {"family": "replicacad", "root": "nowhere"},
     ]
-    path = final(written(tmp_path / "final", dataset, run={"sources": sources}))
+    path = written(tmp_path / "named", dataset, run={"sources": sources})
     copies = {name: shutil.copytree(dataset, tmp_path / name) for name in ("replicacad", "procthor")}
     for families in (("replicacad",), ("procthor", "replicacad")):
         found = Benchmark.read(path, scenes=[f"{name}={copies[name]}" for name in families])
         assert [(source.family, source.root) for source in found.config.sources] == [
             (name, copies[name]) for name in families
         ]
-        assert other_parts(found.file, found.config) == []
     assert found.config.sources[0].exclude == tuple(exclude)
     with pytest.raises(UsageError, match="the benchmark has no scenes of hssd") as raised:
         Benchmark.read(path, scenes=[f"hssd={dataset}"])
@@ -478,48 +387,10 @@ def test_a_user_names_the_datasets_that_are_there(dataset: Path, tmp_path: Path)
         Benchmark.read(path)
 
 
-def test_a_draft_is_made_final_once(dataset: Path, tmp_path: Path) -> None:
-    path = written(tmp_path / "draft", dataset)
-    draft = Benchmark.read(path)
-    with pytest.raises(UsageError, match="the draft is of other versions of the code: "):
-        freeze(path, draft.file, draft.config, "small-v0")
-    assert Benchmark.read(path).file == draft.file
-    edited(path, version="v0-draft", stages=versions_of(path))
-    path.write_text(f"# What it is.\n{path.read_text()}")
-    draft = Benchmark.read(path)
-    returned = freeze(path, draft.file, draft.config, "small-v0")
-    found = Benchmark.read(path)
-    assert found.file == returned
-    assert path.read_text().startswith("# What it is.\n"), "comments stay"
-    assert (found.file.version, found.file.draft, found.file.release) == ("v0", False, "small-v0")
-    assert found.file.stages == versions_of(path)
-    assert found.file.configuration == frozen_parts(found.config)
-    assert set(found.file.configuration) >= {"seed", "instructions", "splits", "sources.replicacad"}
-    assert not {"name", "store", "export", "ray"} & set(found.file.configuration)
-    with pytest.raises(UsageError, match="small v0 is final already"):
-        freeze(path, found.file, found.config, "small-v0")
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"draft": False}, "a final version needs 'release' and 'configuration'"),
-        ({"draft": False, "release": "r"}, "a final version needs 'release' and 'configuration'"),
-        ({"release": "r"}, "a draft freezes neither 'release' nor 'configuration'"),
-    ],
-)
-def test_only_final_versions_freeze_the_configuration(
-    dataset: Path, tmp_path: Path, changes: dict[str, Any], said: str
-) -> None:
-    with pytest.raises(ConfigError) as raised:
-        Benchmark.read(edited(written(tmp_path / "file", dataset), **changes))
-    assert raised.value.what == f"not a benchmark file: {said}"
-
-
 def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_split(
     pytestconfig: pytest.Config,
 ) -> None:
-    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark-v1.yaml", check_roots=False)
+    benchmark = Benchmark.read(pytestconfig.rootpath / "configs" / "benchmark.yaml", check_roots=False)
     (source,) = [one for one in benchmark.config.sources if one.family == "procthor"]
     choice = SceneChoice(source.scenes, source.exclude)
     taken: Counter[tuple[str, str]] = Counter()
