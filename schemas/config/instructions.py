@@ -271,7 +271,7 @@ class SamplingConfig(Section):
     """share of the candidate programs that may use compass words"""
     compass_phrases: int = Field(2, ge=1, le=8)
     """maximum number of phrases with compass words in such a program"""
-    purpose: Share = 0.8
+    purpose: Share = 1.0
     """share of the candidate programs whose goals are, where possible, what goes with what is asked: the desk, if the
     lamp is on it"""
     attempts: int = Field(24, ge=1, le=10_000)

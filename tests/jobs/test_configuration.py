@@ -50,7 +50,7 @@ def test_set_wins_over_environment_wins_over_file(written) -> None:
 
 def test_the_style_of_the_paper_is_other_defaults_and_what_is_given_stays(written) -> None:
     natural = load_config(written(), [], {})
-    assert (natural.instructions.leads, natural.thresholds.sector_within, natural.sampling.purpose) == (0.7, 3.0, 0.8)
+    assert (natural.instructions.leads, natural.thresholds.sector_within, natural.sampling.purpose) == (0.7, 3.0, 1.0)
     paper = load_config(written(instructions={"style": "paper"}, sampling={"compass_phrases": 3}), [], {})
     assert (paper.instructions.leads, paper.thresholds.sector_within, paper.sampling.purpose) == (0.0, 100.0, 0.0)
     assert (paper.sampling.moves, paper.sampling.compass_phrases) == ((0.4, 0.4, 0.2), 3)
@@ -148,7 +148,7 @@ def test_bounds_of_cells_are_taken_as_written(written) -> None:
 
 
 def test_shipped_configurations_are_valid(repository: Path) -> None:
-    benchmarks = {*(repository / "configs").glob("benchmark-*.yaml")}
+    benchmarks = {*(repository / "configs").glob("benchmark*.yaml")}
     paths = sorted({*(repository / "configs").glob("*.yaml")} - benchmarks)
     assert paths
     assert all(Benchmark.read(path, check_roots=False) for path in benchmarks)
