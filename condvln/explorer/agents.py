@@ -76,7 +76,7 @@ def walk_document(
     Returns
     -------
     ``path``: x, y, z of each pose, metres; ``distance``: metres to the nearest goal from each pose, null where no way
-    leads there; ``headings``: degrees clockwise from north, where the file has them; ``stopped``.
+    leads there; ``headings``: degrees clockwise from north, where the file has them.
     """
     positions = np.asarray(prediction.positions, dtype=np.float64)
     distances = _distances(positions, np.asarray(goals, dtype=np.float64), pathfinder)
@@ -86,7 +86,6 @@ def walk_document(
         "distance": [_finite(value, 2) for value in distances],
         "geodesic": pathfinder is not None,
         "headings": None if headings is None else np.round(-np.degrees(headings) % 360.0).tolist(),
-        "stopped": prediction.stopped,
     }
 
 

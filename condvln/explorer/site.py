@@ -83,6 +83,7 @@ class Site:
         *,
         plan: Document,
         graph: Document | None = None,
+        made: Document | None = None,
         walks: Mapping[str, Document] | None = None,
     ) -> None:
         """Add a scene with its episodes.
@@ -92,6 +93,7 @@ class Site:
         rows : manifest rows of its episodes
         documents : what `episode_document` makes of each of them
         graph : its relations; None where they are not known
+        made : what became of its candidates, as `scene_yield` says it; None where only an export is known
         walks : by episode id, the walks of each agent by name
         """
         number = len(self._scenes)
@@ -102,16 +104,17 @@ class Site:
             "rooms": len(plan["rooms"]),
             "objects": len(plan["objects"]),
             "graph": graph is not None,
+            **{name: made[name] for name in ("wanted", "placed", "reason") if made is not None},
         }
         self._scenes.append(scene)
-        self._write(f"scene-{number}", {"source": source, "id": scene_id, **plan})
+        self._write(f"scene-{number}", {"source": source, "id": scene_id, **plan, "made": made})
         if graph is not None:
             self._write(f"graph-{number}", graph)
         chunk: list[Document] = []
         for row, document in zip(rows, documents, strict=True):
             if not chunk:
                 self._chunks.append(len(self._columns))
-            self._columns.add(row, number)
+            self._columns.add(row, number, len(document["frames"]))
             self._add_text(row["instruction_text"])
             chunk.append(document)
             if len(chunk) == EPISODES_A_CHUNK:
@@ -243,7 +246,7 @@ def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> 
 
 NAMED: Final = ("split", "source", "category", "composition", "observability")
 """Columns of names. A null is the name "unknown"."""
-NUMBERS: Final = ("depth", "chain", "moves", "leads", "words", "route_length", "geodesic_distance")
+NUMBERS: Final = ("depth", "chain", "moves", "words", "route_length", "geodesic_distance")
 UNKNOWN: Final = "unknown"
 
 
@@ -253,7 +256,19 @@ class Columns:
     def __init__(self) -> None:
         self._names: dict[str, dict[str, int]] = {name: {} for name in (*NAMED, "label", "predicate")}
         self._values: dict[str, list[Any]] = {
-            name: [] for name in ("id", "scene", "group", "gold_label", "gold_leaf", "leaves", *NAMED, *NUMBERS)
+            name: []
+            for name in (
+                "id",
+                "scene",
+                "group",
+                "pictures",
+                "gold_label",
+                "gold_leaf",
+                "leaves",
+                "untrue",
+                *NAMED,
+                *NUMBERS,
+            )
         }
         self._labels: tuple[list[int], list[int]] = ([0], [])
         self._predicates: tuple[list[int], list[int]] = ([0], [])
@@ -262,17 +277,19 @@ class Columns:
     def __len__(self) -> int:
         return len(self._values["id"])
 
-    def add(self, row: Mapping[str, Any], scene: int) -> None:
-        """Add an episode by its manifest row; `scene` is the number of its scene."""
+    def add(self, row: Mapping[str, Any], scene: int, pictures: int = 0) -> None:
+        """Add an episode by its manifest row; `scene` is the number of its scene, `pictures` how many are shown."""
         values = self._values
         values["id"].append(str(row["episode_id"]))
         values["scene"].append(scene)
+        values["pictures"].append(pictures)
         group = row["group_id"]
         # A group is within one scene, and its id is a name of that scene only.
         values["group"].append(-1 if group is None else self._groups.setdefault((scene, group), len(self._groups)))
         gold = next(leaf for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
         values["gold_leaf"].append(gold["leaf"])
         values["leaves"].append(len(row["leaves"]))
+        values["untrue"].append(sum(not one["truth"] for one in row["program"]["conditions"]))
         values["gold_label"].append(self._number("label", row["program"]["leaves"][gold["leaf"]]["moves"][-1]["label"]))
         for name in NAMED:
             values[name].append(self._number(name, self._named(row, name)))

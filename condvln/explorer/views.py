@@ -23,11 +23,12 @@ QUARTERS: Final = 4
 """Number of equal parts of the looking path, at whose ends pictures are taken."""
 
 
-def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[str, bytes]]:
+def pictures(episode: Mapping[str, Any], renderer: Renderer, walks: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
     """Yield a caption and a PNG for the first view and for places along the looking path, looking ahead, then for the
-    frames of the looking walk at which conditions are decided.
+    frames of the looking walk at which conditions are decided, and for the poses at which agents are nearest to these.
 
     episode : a document of :func:`episode_document`
+    walks : documents of :func:`walk_document` by agent; one without headings has no pictures
     """
     camera = next(camera for name, camera in cameras_of(CAMERA).items() if name.startswith("rgb"))
     looking = episode["looking"] or episode["leaves"][episode["gold"]]
@@ -41,8 +42,18 @@ def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[s
             heading, caption = math.atan2(-ahead[0], -ahead[2]), f"{walked[at]:.1f} m along the looking path"
         yield caption, _picture(renderer, camera, places[at], heading)
     for k, view in sorted(episode["views"].items()):
-        caption = f"{view['walked']:.1f} m along the looking path, where {'ABCDEFGH'[int(k)]} is decided"
+        decided = f"where {'ABCDEFGH'[int(k)]} is decided"
+        caption = f"{view['walked']:.1f} m along the looking path, {decided}"
         yield caption, _picture(renderer, camera, np.array(view["at"]), -math.radians(view["heading"]))
+        for agent, walk in walks.items():
+            path = np.array(walk["path"], dtype=np.float64)
+            at = int(np.linalg.norm(path - view["at"], axis=1).argmin())
+            if walk["headings"] is not None:
+                heading = -math.radians(walk["headings"][at])
+                yield (
+                    f"agent {agent}, step {at}: as near as it comes to {decided}",
+                    _picture(renderer, camera, path[at], heading),
+                )
 
 
 def _picture(renderer: Renderer, camera: CameraConfig, place: F64, heading: float) -> bytes:
@@ -57,8 +68,11 @@ def _spaced(path: F64, spacing: float) -> tuple[F64, F64]:
     return np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)]), at
 
 
-PLAIN: Final = 0.5
-"""Share of white among the seen pixels from which a picture counts as one without textures."""
+PLAIN: Final = 0.8
+"""Share of pixels with the colour of their neighbours from which a picture counts as one without textures."""
+STRUCTURE: Final = {"wall": (0.85, 0.83, 0.8), "floor": (0.66, 0.56, 0.46), "ceiling": (0.95, 0.95, 0.93)}
+LEVEL: Final = 0.8
+"""Vertical part of the normal from which a surface without a label is a floor or a ceiling."""
 UNSEEN: Final = 205
 """Grey of pixels at which nothing is known."""
 _LIGHT: Final = np.array([0.35, -0.75, 0.56])  # from the upper left, behind the camera: right, down, ahead
@@ -66,8 +80,9 @@ _AMBIENT: Final = 0.55
 
 
 def shaded(frame: Frame, labels: tuple[str, ...], hfov: float) -> NDArray[np.uint8]:
-    """Return a frame's picture (h, w, 3). If most of it is white, as meshes without textures are drawn, its white
-    surfaces are coloured and shaded. Pixels at which nothing is known are grey.
+    """Return a frame's picture (h, w, 3). If most of it is of even colours, as meshes without textures are drawn, its
+    surfaces get the colours of their labels and are shaded; one without a label is floor, wall or ceiling by its
+    direction. Pixels at which nothing is known are grey.
 
     Parameters
     ----------
@@ -75,20 +90,21 @@ def shaded(frame: Frame, labels: tuple[str, ...], hfov: float) -> NDArray[np.uin
     hfov : horizontal angle of view, degrees
     """
     seen = frame.depth > 0
-    white = seen & np.all(frame.rgb == 255, axis=-1)
     picture = frame.rgb.copy()
-    if white.sum() > PLAIN * max(1, seen.sum()):
-        colours = np.array([(0.85, 0.83, 0.8), *map(label_colour, labels)])
-        light = _light(frame.depth.astype(np.float64), hfov)
-        coloured = np.clip(colours[frame.label] * light[..., None] * 255, 0, 255).astype(np.uint8)
-        picture[white] = coloured[white]
+    if np.all(picture[1:, 1:] == picture[:-1, :-1], axis=-1).mean() > PLAIN:
+        colours = np.array([*STRUCTURE.values(), *(STRUCTURE.get(label) or label_colour(label) for label in labels)])
+        normal = _normals(frame.depth.astype(np.float64), hfov)
+        built = np.select([normal[..., 1] > LEVEL, normal[..., 1] < -LEVEL], [1, 2])
+        own = colours[np.where(frame.label > 0, frame.label + 2, built)]
+        light = _AMBIENT + (1 - _AMBIENT) * np.abs(normal @ _LIGHT)
+        picture = np.clip(255 * own * light[..., None], 0, 255).astype(np.uint8)
     picture[~seen] = UNSEEN
     return picture
 
 
-def _light(depth: NDArray[np.float64], hfov: float) -> NDArray[np.float64]:
-    """Return the brightness (h, w) of the pixels, computed from the normal of the surface at each pixel. The slopes of
-    1 / depth give the normal, since 1 / depth of a plane is linear over the picture.
+def _normals(depth: NDArray[np.float64], hfov: float) -> NDArray[np.float64]:
+    """Return the normal of the surface at each pixel (h, w, 3), right, down, ahead, away from the camera. The slopes of
+    1 / depth give it, since 1 / depth of a plane is linear over the picture.
     """
     height, width = depth.shape
     focal = width / 2 / np.tan(np.radians(hfov) / 2)
@@ -97,6 +113,5 @@ def _light(depth: NDArray[np.float64], hfov: float) -> NDArray[np.float64]:
     columns = np.arange(width) - (width - 1) / 2
     rows = (np.arange(height) - (height - 1) / 2)[:, None]
     normal = np.stack([right * focal, down * focal, near - right * columns - down * rows], axis=-1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    brightness: NDArray[np.float64] = _AMBIENT + (1 - _AMBIENT) * np.abs(normal @ _LIGHT)
-    return brightness
+    unit: NDArray[np.float64] = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    return unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from condvln.explorer.views import UNSEEN, _light, shaded
+from condvln.explorer.views import UNSEEN, _normals, shaded
 from condvln.sensors.renderer import Frame
 
 
@@ -21,17 +21,31 @@ def plane(normal: tuple[float, float, float], size: int = 40) -> np.ndarray:
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, 0.0, 0.9), (0.0, 0.4, 0.9), (-0.2, 0.3, 0.8)])
-def test_a_plane_has_one_brightness_that_follows_from_its_normal(normal: tuple[float, float, float]) -> None:
-    light = _light(plane(normal), 90.0)
-    unit = np.array(normal) / np.linalg.norm(normal)
-    assert light == pytest.approx(0.55 + 0.45 * abs(unit @ [0.35, -0.75, 0.56]), abs=1e-6)
+def test_a_plane_has_one_normal(normal: tuple[float, float, float]) -> None:
+    found = _normals(plane(normal), 90.0)
+    assert found == pytest.approx(np.broadcast_to(np.array(normal) / np.linalg.norm(normal), found.shape), abs=1e-6)
 
 
-def test_white_surfaces_get_colour_and_others_keep_theirs() -> None:
+def test_even_surfaces_get_the_colours_of_their_labels_and_textured_ones_keep_theirs() -> None:
     depth = plane((0.3, 0.0, 0.9))
     depth[:3] = 0
     plain = shaded(frame(255, depth), ("sofa",), 90.0)
     assert np.all(plain[:3] == UNSEEN)
     assert np.all(plain[5:] < 255)
-    textured = shaded(frame(120, depth), ("sofa",), 90.0)
-    assert np.all(textured[3:] == 120)
+    textured = frame(120, depth)
+    textured.rgb[:] = np.random.default_rng(0).integers(0, 250, textured.rgb.shape)
+    assert np.all(shaded(textured, ("sofa",), 90.0)[3:] == textured.rgb[3:])
+
+
+def test_an_unnamed_surface_is_floor_wall_or_ceiling_by_its_direction() -> None:
+    for normal, label in (((0.0, 0.95, 0.2), "floor"), ((0.0, 0.0, 1.0), "wall"), ((0.0, -0.95, 0.2), "ceiling")):
+        shown = [frame(120, plane(normal)) for _ in range(2)]
+        shown[1].label[:] = 0
+        named, unnamed = (shaded(one, (label,), 90.0)[20, 20] for one in shown)
+        assert np.array_equal(named, unnamed), label
+
+
+def test_floor_wall_and_ceiling_are_told_apart_whatever_colour_the_mesh_has() -> None:
+    depth = plane((0.0, 0.0, 1.0))
+    seen = [shaded(frame(120, depth), (label,), 90.0)[20, 20].astype(int) for label in ("floor", "wall", "ceiling")]
+    assert min(np.abs(a - b).max() for k, a in enumerate(seen) for b in seen[:k]) > 20
