@@ -117,11 +117,11 @@ class HandedIn:
             "file": str(self.file),
             "episodes": self.episodes,
             "missing": len(self.missing),
-            "missing_ids": [*self.missing],
+            "missing_ids": [int(name) for name in self.missing],
             "gaps": sum(self.gaps.values()),
-            "gap_ids": [*self.gaps],
+            "gap_ids": [int(name) for name in self.gaps],
             "off_navmesh": sum(self.off_navmesh.values()),
-            "off_navmesh_ids": [*self.off_navmesh],
+            "off_navmesh_ids": [int(name) for name in self.off_navmesh],
             "notes": [*self.notes],
         }
 

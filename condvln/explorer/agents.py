@@ -76,7 +76,7 @@ def walk_document(
     Returns
     -------
     ``path``: x, y, z of each pose, metres; ``distance``: metres to the nearest goal from each pose, null where no way
-    leads there; ``headings``: degrees clockwise from north, where the file has them.
+    leads there; ``headings``: degrees clockwise from north, where the file has them; ``stopped``.
     """
     positions = np.asarray(prediction.positions, dtype=np.float64)
     distances = _distances(positions, np.asarray(goals, dtype=np.float64), pathfinder)
@@ -85,6 +85,7 @@ def walk_document(
         "path": np.round(positions, 2).tolist(),
         "distance": [_finite(value, 2) for value in distances],
         "geodesic": pathfinder is not None,
+        "stopped": prediction.stopped,
         "headings": None if headings is None else np.round(-np.degrees(headings) % 360.0).tolist(),
     }
 

@@ -30,9 +30,8 @@ __all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes", "write_
 Document = dict[str, Any]
 PAGE: Final = "index.html"
 DATA: Final = "data"
-PARTS: Final = ("page.html", "page.css", "chunks.js", "elements.js", "episodes.js", "plan.js", "instruction.js",
-                "evidence.js", "walk.js", "episode.js", "browse.js", "statistics.js", "agents.js", "scene.js",
-                "page.js")  # fmt: skip
+_PAGE_FILES: Final = files("condvln.explorer").joinpath("page")
+PARTS: Final = tuple(sorted(path.name for path in _PAGE_FILES.iterdir()))
 EPISODES_A_CHUNK: Final = 100
 TEXTS_A_CHUNK: Final = 4000
 
@@ -161,7 +160,7 @@ class Site:
         self._write("agents", {"tables": list(tables), "measures": plotted})
         for name in PARTS:
             with atomic_stream(self.out / (PAGE if name == "page.html" else name)) as stream:
-                stream.write(files("condvln.explorer").joinpath("page", name).read_bytes())
+                stream.write(_PAGE_FILES.joinpath(name).read_bytes())
         return self.out / PAGE
 
     def _episodes(self, documents: list[Document], walks: Mapping[str, Document]) -> None:
@@ -255,21 +254,8 @@ class Columns:
 
     def __init__(self) -> None:
         self._names: dict[str, dict[str, int]] = {name: {} for name in (*NAMED, "label", "predicate")}
-        self._values: dict[str, list[Any]] = {
-            name: []
-            for name in (
-                "id",
-                "scene",
-                "group",
-                "pictures",
-                "gold_label",
-                "gold_leaf",
-                "leaves",
-                "untrue",
-                *NAMED,
-                *NUMBERS,
-            )
-        }
+        names = ("id", "scene", "group", "pictures", "gold_label", "untrue", *NAMED, *NUMBERS)
+        self._values: dict[str, list[Any]] = {name: [] for name in names}
         self._labels: tuple[list[int], list[int]] = ([0], [])
         self._predicates: tuple[list[int], list[int]] = ([0], [])
         self._groups: dict[tuple[int, str], int] = {}
@@ -286,11 +272,10 @@ class Columns:
         group = row["group_id"]
         # A group is within one scene, and its id is a name of that scene only.
         values["group"].append(-1 if group is None else self._groups.setdefault((scene, group), len(self._groups)))
-        gold = next(leaf for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
-        values["gold_leaf"].append(gold["leaf"])
-        values["leaves"].append(len(row["leaves"]))
         values["untrue"].append(sum(not one["truth"] for one in row["program"]["conditions"]))
-        values["gold_label"].append(self._number("label", row["program"]["leaves"][gold["leaf"]]["moves"][-1]["label"]))
+        values["gold_label"].append(
+            self._number("label", row["program"]["leaves"][row["gold_leaf"]]["moves"][-1]["label"])
+        )
         for name in NAMED:
             values[name].append(self._number(name, self._named(row, name)))
         for name in NUMBERS:

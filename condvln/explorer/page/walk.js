@@ -84,7 +84,7 @@
         this.plan.way("walk", until, `walk agent-${k % 4}`);
         this.plan.beads("walk", until, `agent-${k % 4}`, explorer.SHAPES[k % 4]);
         this.plan.arrow("walk", walk.path[at], heading(walk, at), `marker agent-${k % 4}`, { length: 20, radius: 9, cone: 46 });
-        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), at === walk.path.length - 1 ? this.outcome(agent) : "under way"]);
+        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), at === walk.path.length - 1 ? `${this.outcome(agent)}${walk.stopped ? "" : ", no STOP"}` : "under way"]);
       }
       const geodesic = this.agents.every((agent) => this.walks[agent].geodesic);
       const distance = geodesic ? "#metres to the gold goal at this step" : "#metres to the gold goal at this step (straight)";
