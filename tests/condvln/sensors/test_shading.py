@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from condvln.explorer.views import UNSEEN, _normals, shaded
 from condvln.sensors.renderer import Frame
+from condvln.sensors.shading import UNSEEN, _normals, shaded
 
 
 def frame(rgb: int, depth: np.ndarray) -> Frame:
