@@ -32,6 +32,7 @@ from schemas.errors import FormatError, UsageError
 
 __all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "handed_in", "walk_split"]
 
+EMPTY: Final = "the split has no episodes; the export's README.md says which have some"
 SHOWN: Final = 5
 """Number of ids of missing episodes in a message; ``--json`` has all of them."""
 
@@ -177,6 +178,7 @@ class EvaluationReport:
     def warnings(self) -> list[str]:
         """Return what is to be said about each file, and about all, a sentence each."""
         said = [f"{one.file}: {warning}" for one in self.handed_in for warning in one.warnings]
+        said += [] if not self.evaluations or len(self.evaluations[0]) else [EMPTY]
         unchecked = max((int(np.isnan(one.scores["justified"]).sum()) for one in self.evaluations), default=0)
         if unchecked:
             said.append(
@@ -294,7 +296,8 @@ def walk_split(
     else:
         predictions = predict_all(agent_named(agent), tasks, navmeshes, seed=seed)
     count = write_predictions(out, predictions)
-    return Report({"predictions": count, "file": str(out)}, [f"{count} predictions of {agent} in {out}"])
+    said = f"{count} predictions of {agent} in {out}{'' if tasks else f': {EMPTY}'}"
+    return Report({"predictions": count, "file": str(out)}, [said])
 
 
 def evaluate_predictions(asked: Question) -> EvaluationReport:

@@ -168,6 +168,18 @@ def test_missing_predictions_are_counted_aloud(
     assert evaluate(agents["oracle"], "--strict").exit_code == 0
 
 
+def test_a_split_without_episodes_says_so(evaluate: Any, export: Path, agents: dict[str, Path], tmp_path: Path) -> None:
+    copied = tmp_path / "export"
+    shutil.copytree(export, copied)
+    (copied / "manifest" / "val_seen.jsonl").write_text("")
+    out = tmp_path / "nearest.json"
+    for words in (["walk", str(copied), "val_seen", "--agent", "nearest", "--out", str(out)],
+                  ["evaluate", str(copied), "val_seen", str(out)]):  # fmt: skip
+        result = runner.invoke(app, words)
+        assert result.exit_code == 0, result.output
+        assert "the split has no episodes" in " ".join(result.output.split())
+
+
 def broken(whole: dict[str, Any], kind: str) -> dict[str, Any]:
     """Predictions of which the first two are not walks of an agent."""
     changed = {name: [dict(pose) for pose in poses] for name, poses in whole.items()}

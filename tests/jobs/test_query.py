@@ -261,6 +261,10 @@ def test_every_recipe_runs(
     namespace: dict[str, Any] = {"SNAPSHOT": target.folder(), "STORE": target.address, "ADDRESS": made_away.store}
     if "deltalake" in text:
         namespace["LAKE"] = tmp_path / "lake"
+    if "SCORES" in text:
+        scored = [{"episode_id": row["episode_id"], "success": 1.0} for row in rows(target, "SELECT * FROM episodes")]
+        namespace["SCORES"] = tmp_path / "scores.jsonl"
+        namespace["SCORES"].write_text("".join(json.dumps(row) + "\n" for row in scored))
     exec(compile(text, f"cookbook block {at}", "exec"), namespace)
     assert len(namespace["answer"]), "a recipe in Python leaves its rows in `answer`"
 
