@@ -26,7 +26,7 @@ from condvln.evaluation.tables import Table, all_tables, twin_tables
 from condvln.formats.streams import atomic_stream
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from jobs.agents import LOOKER, datasets_of, eyes_of, is_policy, looking_agent, policy_named, walk_policy
-from jobs.report import PIPE_WIDTH, Report
+from jobs.report import PIPE_WIDTH, Report, followed
 from schemas.config import Config
 from schemas.errors import FormatError, UsageError
 
@@ -295,7 +295,7 @@ def walk_split(
         predictions = walk_policy(policy_named(agent), tasks, navmeshes, eyes)
     else:
         predictions = predict_all(agent_named(agent), tasks, navmeshes, seed=seed)
-    count = write_predictions(out, predictions)
+    count = write_predictions(out, followed(predictions, "walking", len(tasks)))
     said = f"{count} predictions of {agent} in {out}{'' if tasks else f': {EMPTY}'}"
     return Report({"predictions": count, "file": str(out)}, [said])
 

@@ -27,7 +27,7 @@ from jobs.agents import evidence_seen
 from jobs.evaluate import EvaluationReport, Question
 from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
 from jobs.explore_statistics import Counts, former_episodes, scene_yield, statistics_document
-from jobs.report import Report
+from jobs.report import Report, followed
 from jobs.show import world_of
 from schemas.config import Config
 from schemas.errors import InputError, UsageError
@@ -98,7 +98,7 @@ def explore(asked: Exploration) -> Report:
     counts = Counts()
     proofs = _Certificates(export)
     folder = NavmeshFolder(tuple(path for path in (export, *roots) if path is not None))
-    for scene in scenes.scenes():
+    for scene in followed(scenes.scenes(), "scenes"):
         counts.add(scene)
         _add(site, scene, proofs, agents, folder, asked)
     record = None if export is None else read_document(export / "export.json")
@@ -203,7 +203,7 @@ def scored_splits(export: Path, predictions: Sequence[Path], options: SplitOptio
     for path in predictions:
         by_split.setdefault(_split(path, split_of), []).append(path)
     found = []
-    for split, paths in sorted(by_split.items()):
+    for split, paths in followed(sorted(by_split.items()), "scoring"):
         evaluations, tasks = evaluate_split(export, split, paths, options)
         found.append(ScoredSplit(split, evaluations, all_tables(evaluations, tasks), paths))
     return found

@@ -14,7 +14,7 @@
   }
 
   function whole(table) {
-    return element("div", { "data-split": table.split }, explorer.table(`${table.title} (${table.split})`, table.headings, table.cells.map((row) => row.map(stacked)), table.name),
+    return element("div", { "data-split": table.split }, explorer.table(`${table.title}, all measures (${table.split})`, table.headings, table.cells.map((row) => row.map(stacked)), table.name),
       table.note ? element("p", { class: "note" }, table.note) : "");
   }
 
