@@ -178,6 +178,8 @@ def test_a_plan_can_be_zoomed_and_marked_names_stand_once(page: Page, made: Run)
         return [...document.querySelectorAll('.marked-label')].filter((own) => shown.some((one) => one.textContent ===
             own.textContent && Math.abs(one.getBoundingClientRect().x - own.getBoundingClientRect().x) < 20)).length"""
     wide = "return document.querySelector('.plan .room').getBBox().width"
+    rings = "return document.querySelectorAll('.layer-named .ring').length"
+    ringed = page.run(rings)
     before, room = page.run(names), page.run(wide)
     page.one("[aria-label='Zoom in']").click()
     assert page.run(wide) == pytest.approx(1.6 * room, rel=0.01)
@@ -185,6 +187,9 @@ def test_a_plan_can_be_zoomed_and_marked_names_stand_once(page: Page, made: Run)
     page.one("[aria-label='Show the whole plan']").click()
     assert page.run(wide) == pytest.approx(room, rel=0.01)
     assert page.run(names) == before
+    page.size(1180)
+    page.until("return document.querySelector('.plan').clientWidth < 700")
+    assert page.run(rings) == ringed, "only small things have a ring, also when the plan is drawn afresh"
 
 
 def objects(page: Page, kind: str) -> list[str]:

@@ -224,9 +224,9 @@
       for (const id of ids) {
         const item = this.scene.objects.find((one) => one.id === id);
         if (!item || !this.shapes.has(id)) continue;
-        const box = this.shapes.get(id).getBBox();
+        const across = Math.max(0, ...item.shape.map((p) => Math.max(Math.hypot(p[0] - p[2], p[1] - p[3]), Math.hypot(p[2] - p[4], p[3] - p[5])))) * this.scale;
         const at = [this.x(item.center[0]), this.y(item.center[2])];
-        if (Math.max(box.width, box.height) < SMALL) this.layers.named.append(svg("circle", { cx: at[0], cy: at[1], r: SMALL * 0.6, class: "ring" }));
+        if (across < SMALL) this.layers.named.append(svg("circle", { cx: at[0], cy: at[1], r: SMALL * 0.6, class: "ring" }));
         const around = [[0, -14], [0, 14], [0, -28], [0, 28], [46, 0], [-46, 0], [46, -16], [-46, 16]];
         const free = labels.place(...at, item.label, FONT, around);
         if (free) this.layers.named.append(svg("text", { x: free[0], y: free[1] + FONT * 0.35, class: "marked-label", "font-size": FONT }, item.label));
