@@ -41,6 +41,7 @@ from condvln.scene import Scene
 from condvln.scene.meshes import MeshLibrary
 from condvln.scene.scene import SceneGeometry
 from condvln.sensors import Frame, Renderer, cameras_of, open_renderer
+from condvln.sensors.shading import shaded
 from condvln.sources.scene_source import Source
 from schemas.config import (
     AgentConfig,
@@ -229,14 +230,15 @@ class World:
         return path
 
     def first_view(self, row: Mapping[str, Any]) -> npt.NDArray[np.uint8]:
-        """Return the colours (h, w, 3) that an agent sees at the start of an episode.
+        """Return what an agent sees at the start of an episode (h, w, 3), shaded where nothing has a texture.
 
         row : the row of the table ``episodes`` as plain Python values
         """
         start = row["start_position"]
         position = np.array([start["x"], start["y"], start["z"]], np.float64)
         camera = next(camera for name, camera in cameras_of(FIRST_VIEW).items() if name.startswith("rgb"))
-        return self.renderer.look(camera, position, -math.radians(row["start_heading_degrees"])).rgb
+        seen = self.renderer.look(camera, position, -math.radians(row["start_heading_degrees"]))
+        return shaded(seen, self.renderer.labels, camera.hfov)
 
     def _facts(self, thresholds: Thresholds) -> Mapping[str, TextFacts]:
         return {room_id: text_facts(found, thresholds) for room_id, found in self.relations(thresholds).items()}

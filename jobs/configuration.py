@@ -75,8 +75,14 @@ def _store(address: Path | str, base: Path, path: Path) -> Path | str:
 
 def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Config:
     sources = []
+    export = None if config.export is None else (base / config.export).resolve()
     for k, source in enumerate(config.sources):
         root = (base / source.root).resolve()
+        if not root.exists() and export is not None:  # where --data said that it lies when the export was made
+            from jobs.export_origin import data_of  # loads the pipeline
+
+            noted = dict(text.split("=", 1) for text in data_of(export, None))
+            root = Path(noted.get(source.family, root))
         if check_roots and not root.is_dir():
             raise ConfigError(
                 f"this is a file, not a folder: {root}" if root.exists() else f"no such folder: {root}",
@@ -101,7 +107,6 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
                 raise ConfigError(f"no such {what}: {beside[key]}", where=path, place=f"sources.{k}.{key}")
         sources.append(source.model_copy(update=beside))
     store = _store(config.store, base, path)
-    export = None if config.export is None else (base / config.export).resolve()
     _apart(store, export, [source.root for source in sources], path)
     return config.model_copy(update={"sources": tuple(sources), "store": store, "export": export})
 

@@ -26,12 +26,13 @@ from condvln.evaluation.tables import Table, all_tables, twin_tables
 from condvln.formats.streams import atomic_stream
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from jobs.agents import LOOKER, datasets_of, eyes_of, is_policy, looking_agent, policy_named, walk_policy
-from jobs.report import PIPE_WIDTH, Report
+from jobs.report import PIPE_WIDTH, Report, followed
 from schemas.config import Config
 from schemas.errors import FormatError, UsageError
 
 __all__ = ["EvaluationReport", "HandedIn", "Question", "evaluate_predictions", "handed_in", "walk_split"]
 
+EMPTY: Final = "the split has no episodes; the export's README.md says which have some"
 SHOWN: Final = 5
 """Number of ids of missing episodes in a message; ``--json`` has all of them."""
 
@@ -117,11 +118,11 @@ class HandedIn:
             "file": str(self.file),
             "episodes": self.episodes,
             "missing": len(self.missing),
-            "missing_ids": [*self.missing],
+            "missing_ids": [int(name) for name in self.missing],
             "gaps": sum(self.gaps.values()),
-            "gap_ids": [*self.gaps],
+            "gap_ids": [int(name) for name in self.gaps],
             "off_navmesh": sum(self.off_navmesh.values()),
-            "off_navmesh_ids": [*self.off_navmesh],
+            "off_navmesh_ids": [int(name) for name in self.off_navmesh],
             "notes": [*self.notes],
         }
 
@@ -177,6 +178,7 @@ class EvaluationReport:
     def warnings(self) -> list[str]:
         """Return what is to be said about each file, and about all, a sentence each."""
         said = [f"{one.file}: {warning}" for one in self.handed_in for warning in one.warnings]
+        said += [] if not self.evaluations or len(self.evaluations[0]) else [EMPTY]
         unchecked = max((int(np.isnan(one.scores["justified"]).sum()) for one in self.evaluations), default=0)
         if unchecked:
             said.append(
@@ -293,8 +295,9 @@ def walk_split(
         predictions = walk_policy(policy_named(agent), tasks, navmeshes, eyes)
     else:
         predictions = predict_all(agent_named(agent), tasks, navmeshes, seed=seed)
-    count = write_predictions(out, predictions)
-    return Report({"predictions": count, "file": str(out)}, [f"{count} predictions of {agent} in {out}"])
+    count = write_predictions(out, followed(predictions, "walking", len(tasks)))
+    said = f"{count} predictions of {agent} in {out}{'' if tasks else f': {EMPTY}'}"
+    return Report({"predictions": count, "file": str(out)}, [said])
 
 
 def evaluate_predictions(asked: Question) -> EvaluationReport:

@@ -23,10 +23,11 @@ from condvln.export.contents import read_document
 from condvln.formats.json_entries import json_lines
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.scene_navmesh import NavmeshFolder
+from jobs.agents import evidence_seen
 from jobs.evaluate import EvaluationReport, Question
 from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
-from jobs.explore_statistics import Counts, former_episodes, statistics_document
-from jobs.report import Report
+from jobs.explore_statistics import Counts, former_episodes, scene_yield, statistics_document
+from jobs.report import Report, followed
 from jobs.show import world_of
 from schemas.config import Config
 from schemas.errors import InputError, UsageError
@@ -82,7 +83,11 @@ def explore(asked: Exploration) -> Report:
         snapshot_scenes(asked.config, export) if asked.config is not None else export_scenes(_folder(export), roots)
     )
     agents = ExploredAgents()
-    for scored in (*asked.scored, *(() if export is None else scored_splits(export, asked.predictions, roots))):
+    options = SplitOptions(navmesh_roots=roots)
+    if asked.config is not None and export is not None and asked.predictions:
+        datasets = [f"{source.family}={source.root}" for source in asked.config.sources if source.root.exists()]
+        options = replace(options, sees_of=evidence_seen(export, datasets, roots))
+    for scored in (*asked.scored, *(() if export is None else scored_splits(export, asked.predictions, options))):
         agents.add(scored)
     if asked.views and asked.config is None:
         raise UsageError(
@@ -93,7 +98,7 @@ def explore(asked: Exploration) -> Report:
     counts = Counts()
     proofs = _Certificates(export)
     folder = NavmeshFolder(tuple(path for path in (export, *roots) if path is not None))
-    for scene in scenes.scenes():
+    for scene in followed(scenes.scenes(), "scenes"):
         counts.add(scene)
         _add(site, scene, proofs, agents, folder, asked)
     record = None if export is None else read_document(export / "export.json")
@@ -121,8 +126,10 @@ def _add(
     documents = [
         episode_document(row, facts=scene.facts, certificate=proofs.of(row)) for row in scene.rows
     ]  # fmt: skip
-    if asked.config is not None and documents[: asked.views]:
-        _look(site, scene, documents[: asked.views], asked.config)
+    walks = agents.walks_of(scene.rows, folder)
+    if asked.config is not None and documents and asked.views:
+        shown = sorted(documents, key=lambda one: one["id"] not in walks)[: asked.views]  # those of agents first
+        _look(site, scene, shown, asked.config, walks)
     ids = [item.object_id for item in scene.scene.objects]
     site.add_scene(
         scene.scene.family,
@@ -131,15 +138,18 @@ def _add(
         documents,
         plan=plan_document(scene.scene, scene.tile, scene.seen),
         graph=None if scene.relations is None else graph_document(scene.relations, ids),
-        walks=agents.walks_of(scene.rows, folder),
+        made=scene_yield(scene),
+        walks=walks,
     )
 
 
-def _look(site: Site, scene: ExploredScene, documents: Sequence[Document], config: Config) -> None:
+def _look(
+    site: Site, scene: ExploredScene, documents: Sequence[Document], config: Config, walks: Mapping[str, Document]
+) -> None:
     """Add pictures to the documents of some episodes."""
     world = world_of(config, {"source": scene.scene.family, "scene_id": scene.scene.scene_id})
     for document in documents:
-        for k, (caption, data) in enumerate(pictures(document, world.renderer)):
+        for k, (caption, data) in enumerate(pictures(document, world.renderer, walks.get(document["id"], {}))):
             document["frames"].append({"file": site.add_picture(f"{document['id']}-{k}", data), "caption": caption})
 
 
@@ -178,8 +188,8 @@ class ScoredSplit:
     reading: ReadRules = field(default_factory=ReadRules)
 
 
-def scored_splits(export: Path, predictions: Sequence[Path], roots: Sequence[Path]) -> list[ScoredSplit]:
-    """Score files of predictions by the default rules, each on the split that has its episodes.
+def scored_splits(export: Path, predictions: Sequence[Path], options: SplitOptions) -> list[ScoredSplit]:
+    """Score files of predictions by the same rules, each on the split that has its episodes.
 
     Raises
     ------
@@ -193,8 +203,8 @@ def scored_splits(export: Path, predictions: Sequence[Path], roots: Sequence[Pat
     for path in predictions:
         by_split.setdefault(_split(path, split_of), []).append(path)
     found = []
-    for split, paths in sorted(by_split.items()):
-        evaluations, tasks = evaluate_split(export, split, paths, SplitOptions(navmesh_roots=tuple(roots)))
+    for split, paths in followed(sorted(by_split.items()), "scoring"):
+        evaluations, tasks = evaluate_split(export, split, paths, options)
         found.append(ScoredSplit(split, evaluations, all_tables(evaluations, tasks), paths))
     return found
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from condvln.episodes.candidates import PLACING
 from condvln.explorer.rejected import clash_examples, program_example, rule_text
 from condvln.manifest import manifest_lines, manifest_paths
 from factory.snapshot import Snapshot, read_manifest, read_ref
@@ -19,9 +20,18 @@ from jobs.workspace import open_store
 from schemas.config import Config
 from schemas.errors import UsageError
 
-__all__ = ["Counts", "EpisodeFacts", "Former", "drift_document", "former_episodes", "statistics_document"]
+__all__ = [
+    "Counts",
+    "EpisodeFacts",
+    "Former",
+    "drift_document",
+    "former_episodes",
+    "scene_yield",
+    "statistics_document",
+]
 
 Document = dict[str, Any]
+SUMS: Final = ("wanted", "candidates", "rejected", "placed")
 EXAMPLES: Final = 3
 """Number of examples that are kept of each reason of rejection."""
 
@@ -32,8 +42,6 @@ class Counts:
 
     scenes: int = 0
     episodes: int = 0
-    objects: Counter[str] = field(default_factory=Counter)
-    rooms: Counter[str] = field(default_factory=Counter)
     relations: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
@@ -46,8 +54,6 @@ class Counts:
         source, scene_id = scene.scene.family, scene.scene.scene_id
         self.scenes += 1
         self.episodes += len(scene.rows)
-        self.objects.update(item.label for item in scene.scene.objects)
-        self.rooms.update(room.label for room in scene.scene.rooms)
         for row in scene.relations or ():
             if row["kind"] == "semantic":
                 sums = self.relations.setdefault((source, row["predicate"]), [0, 0])
@@ -56,7 +62,7 @@ class Counts:
         tables = scene.tables or {}
         for row in tables.get("funnel", ()):
             sums = self.funnel.setdefault((source, row["cell"]), [0, 0, 0, 0])
-            for k, name in enumerate(("wanted", "candidates", "rejected", "placed")):
+            for k, name in enumerate(SUMS):
                 sums[k] += row[name]
         for row in tables.get("rejections", ()):
             key = (source, row["stage"], row["reason"])
@@ -87,6 +93,28 @@ class Counts:
                 self.examples[source, stage, reason].append({**place, **found})
 
 
+def scene_yield(scene: ExploredScene) -> Document | None:
+    """Return what became of a scene's candidates: rows of the tables ``funnel`` and ``rejections``, the latter with the
+    rule in words; ``wanted`` and ``placed``, summed; and ``reason``, the most frequent one in the cells that have fewer
+    than wanted, of placing before drawing. None where nothing is known.
+    """
+    if not scene.tables:
+        return None
+    funnel = [[row[name] for name in ("cell", *SUMS)] for row in scene.tables["funnel"]]
+    rejections = [[row[name] for name in ("cell", "stage", "reason", "count")] for row in scene.tables["rejections"]]
+    short = {row[0] for row in funnel if row[4] < row[1]}
+    reasons: Counter[tuple[bool, str]] = Counter()
+    for cell, stage, reason, count in rejections:
+        reasons[stage == PLACING, reason] += count if cell in short else 0
+    return {
+        "wanted": sum(row[1] for row in funnel),
+        "placed": sum(row[4] for row in funnel),
+        "reason": max(reasons, key=lambda key: (key[0], reasons[key]))[1] if short and reasons else "",
+        "funnel": funnel,
+        "rejections": [[*row, rule_text(row[1], row[2])] for row in rejections],
+    }
+
+
 def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Former | None) -> Document:
     """Return what the page's statistics show.
 
@@ -96,8 +124,6 @@ def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former
     former : episodes of a former export or snapshot, with which these are compared
     """
     return {
-        "objects": counts.objects.most_common(),
-        "rooms": counts.rooms.most_common(),
         "relations": [[*key, *sums] for key, sums in sorted(counts.relations.items())],
         "funnel": [[*key, *sums] for key, sums in sorted(counts.funnel.items())],
         "rejections": [

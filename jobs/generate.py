@@ -118,7 +118,9 @@ def _keep_views(store: Store, snapshot_id: str) -> None:
     """Write ``views.sql`` beside the tables of a snapshot, unless it is there as it should be."""
     from jobs.query import views_sql  # loads DuckDB
 
-    path, text = f"snapshots/{snapshot_id}/views.sql", views_sql().encode()
+    folder = f"snapshots/{snapshot_id}/"
+    remote = f"{store.url}/{folder}" if "://" in store.url else ""
+    path, text = f"{folder}views.sql", views_sql(remote).encode()
     try:
         if store.read(path) == text:
             return

@@ -102,9 +102,13 @@ def _splits_of(target: Target) -> list[str]:
     return [str(path)] if path is not None and path.is_file() else []
 
 
-def views_sql() -> str:
-    """Return statements that make the views over a snapshot's folder in DuckDB's own shell."""
-    tables = {name: f"SELECT * FROM read_parquet('{name}/*/*.parquet', hive_partitioning = true)" for name in TABLES}
+def views_sql(folder: str = "") -> str:
+    """Return statements that make the views over a snapshot's folder in DuckDB's own shell. `folder` is the address of
+    one that is not on this machine's disk, with a slash at its end.
+    """
+    tables = {
+        name: f"SELECT * FROM read_parquet('{folder}{name}/*/*.parquet', hive_partitioning = true)" for name in TABLES
+    }
     made = [f"CREATE OR REPLACE VIEW {name} AS\n{sql};" for name, sql in tables.items()]
     made += [f"-- {view.about}\nCREATE OR REPLACE VIEW {name} AS\n{view.sql};" for name, view in VIEWS.items()]
     return "\n".join((_VIEWS_HEAD, *made)) + "\n"

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderResult
+from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["PIPE_WIDTH", "Report", "Section", "answer", "by_cause", "console", "print_report"]
+__all__ = ["PIPE_WIDTH", "Report", "Section", "answer", "by_cause", "console", "followed", "print_report"]
+
+T = TypeVar("T")
 
 PIPE_WIDTH: Final = 200
 """Width in columns of output that does not go to a terminal."""
@@ -94,6 +97,12 @@ def console(quiet: bool = False) -> Console:
     """Create the console for progress: standard error, so that a program can read the report on standard output."""
     # In a log a line is one message; a terminal wraps it where it is narrow.
     return Console(stderr=True, quiet=quiet, soft_wrap=not sys.stderr.isatty())
+
+
+def followed(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """Yield the items; on a terminal, a bar says how far they are while it lasts."""
+    shown = console()
+    yield from track(items, what, total, console=shown, transient=True, disable=not shown.is_terminal)
 
 
 def answer(report: Any, as_json: bool) -> None:

@@ -31,7 +31,7 @@ from factory.machine import cores, memory_available
 from factory.snapshot import Snapshot
 from jobs.executor import every_node_sees, open_executor
 from jobs.pipeline import SceneReader
-from jobs.report import Report, Section
+from jobs.report import Report, Section, followed
 from jobs.workspace import graph_folders, published
 from schemas.config import Config
 from schemas.errors import InputError, MissingFileError, ProofError, StoreError, shown_path
@@ -89,7 +89,7 @@ def verify_export(config: Config, export_dir: Path, *, without_store: bool = Fal
         proofs.append(_texts_or_fault(config, tally.faults))
     try:
         with written:
-            for certificate in itertools.chain.from_iterable(proofs):
+            for certificate in followed(itertools.chain.from_iterable(proofs), "proving", sum(rows.values())):
                 tally.add(certificate)
                 written.add(certificate)
     except InputError as error:

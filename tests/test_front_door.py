@@ -11,7 +11,9 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from PIL import Image
 from rich.console import Console
 
 import condvln
@@ -76,14 +78,21 @@ def test_every_name_is_there_and_sorted() -> None:
     assert documented <= set(condvln.__all__), "the table names nothing that is not there"
 
 
-def test_the_tutorial_runs(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "".join(blocks((repository / "docs" / "tutorial.md").read_text(encoding="utf-8")))
+def test_the_tutorial_runs(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (repository / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    code = "".join(blocks(text))
     assert len([line for line in code.splitlines() if line.strip()]) <= 60
     monkeypatch.chdir(tmp_path)
     session: dict[str, object] = {}
-    exec(compile(code, "tutorial", "exec"), session)
+    for block, shown in re.findall(r"```python\n(.*?)```\n(?:\n```text\n(.*?)```\n)?", text, re.DOTALL):
+        exec(compile(block, "tutorial", "exec"), session)
+        assert capsys.readouterr().out == shown, "what the page shows is what is printed"
     assert session["score"].success == 1.0  # type: ignore[attr-defined]
-    assert (tmp_path / "episode.png").stat().st_size > 10_000
+    with Image.open(tmp_path / "episode.png") as drawn, Image.open(repository / "docs" / "episode.png") as kept:
+        sizes = [np.asarray(one.convert("L").resize((330, 198)), np.float64) for one in (drawn, kept)]
+    assert np.abs(sizes[0] - sizes[1]).mean() < 4, "the picture of README and tutorial is the one that is drawn"
     assert session["near"]
 
 

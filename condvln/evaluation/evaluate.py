@@ -149,7 +149,11 @@ def evaluate(
     for number in range(len(tasks)):
         if scores[number] is None:
             judge(number, None)
-    said = f"{all_round} of {len(tasks)} paths have no headings: justified counts what is seen all round"
+    bare = sum(bool(task.axes.get("leads")) and all(one is None for one in task.gold.outlines) for task in tasks)
+    notes = (
+        (all_round, "paths have no headings: justified counts what is seen all round"),
+        (bare, "episodes lead to rooms that the manifest does not outline: only the lead's point counts; export again"),
+    )
     return Evaluation(
         agent,
         rules,
@@ -160,7 +164,7 @@ def evaluate(
         np.array([len(task.leaves) for task in tasks], dtype=np.int64),
         columns_of(scores, [item.name for item in fields(Score)]),
         {radius: columns_of(kept, SWEPT) for radius, kept in swept.items()},
-        (said,) if all_round else (),
+        tuple(f"{count} of {len(tasks)} {said}" for count, said in notes if count),
     )
 
 

@@ -1,10 +1,12 @@
-"""The metrics: one entry each, from which lists of measures, columns of tables and leaderboard, and the names in other
-evaluators' files are made. `condvln.evaluation.score` computes them, docs/metrics.md defines them.
+"""The metrics: one row of ``metrics.csv`` each, from which lists of measures, columns of tables and leaderboard, and
+names in other evaluators' files are made. `condvln.evaluation.score` computes them, docs/metrics.md defines them.
 """
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Final, Literal
 
 __all__ = ["METRICS", "Better", "Kind", "Metric", "Shown", "keys_of", "metrics_of"]
@@ -40,87 +42,18 @@ class Metric:
     success: OfSuccess = ""
 
 
-METRICS: Final = (
-    Metric(
-        "success",
-        "SR",
-        "percent",
-        "higher",
-        ("main", "twin", "branches", "sweep", "comparison", "board", "ranking", "plots", "differences"),
-        ("success",),
-        yes_or_no=True,
-    ),
-    Metric("spl_look", "SPL-look", "percent", "higher", ("main", "comparison", "board", "ranking"), success="factor"),
-    Metric("ndtw_look", "nDTW-look", "percent", "higher", ("main", "board")),
-    Metric(
-        "bsa_all",
-        "BSA-all",
-        "percent",
-        "higher",
-        ("main", "twin", "sweep", "board", "plots", "differences", "walks"),
-        ("bsa", "branch_subgoal_accuracy", "branch_selection_accuracy"),
-        success="needed",
-    ),
-    Metric(
-        "csr_all",
-        "CSR-all",
-        "percent",
-        "higher",
-        ("main", "twin", "sweep", "comparison", "board", "ranking", "plots"),
-        ("csr", "conditional_success_rate"),
-        yes_or_no=True,
-        success="factor",
-    ),
-    Metric(
-        "justified",
-        "justified",
-        "percent",
-        "higher",
-        ("main", "comparison", "board", "ranking"),
-        yes_or_no=True,
-        success="factor",
-    ),
-    Metric("path_length", "TL", "metres", "", ("main",), ("path_length",)),
-    Metric("navigation_error", "NE", "metres", "lower", ("main", "twin", "walks"), ("distance_to_goal", "ne")),
-    Metric(
-        "oracle_success",
-        "OSR",
-        "percent",
-        "higher",
-        ("main", "twin", "sweep"),
-        ("oracle_success", "os"),
-        yes_or_no=True,
-        success="needed",
-    ),
-    Metric(
-        "spl", "SPL", "percent", "higher", ("main", "twin", "sweep", "comparison", "walks"), ("spl",), success="factor"
-    ),
-    Metric("spl_route", "SPL-route", "percent", "higher", ("main", "board", "ranking")),
-    Metric("ndtw", "nDTW", "percent", "higher", ("main", "twin", "comparison", "board", "walks"), ("ndtw",)),
-    Metric("sdtw", "SDTW", "percent", "higher", ("main",), ("sdtw",), success="factor"),
-    Metric("cls", "CLS", "percent", "higher", ("main",), ("cls",)),
-    Metric("sdtw_look", "SDTW-look", "percent", "higher", ("board",), success="factor"),
-    Metric("cls_look", "CLS-look", "percent", "higher", ("board",)),
-    Metric("bsa", "BSA (paper)", "percent", "higher", ("main",)),
-    Metric("csr", "CSR (paper)", "percent", "higher", ("main", "twin")),
-    Metric(
-        "leaf_correct",
-        "right leaf",
-        "percent",
-        "higher",
-        ("branches", "sweep", "comparison", "board", "ranking", "differences"),
-    ),
-    Metric("wrong_branch", "wrong branch", "percent", "lower", ("branches", "board")),
-    Metric("no_commit", "no commit", "percent", "lower", ("branches", "board")),
-    Metric("stopped", "stopped", "percent", "", ("branches",)),
-    Metric("steps", "steps", "number", "", ("branches",), ("steps", "steps_taken")),
-    Metric("collisions", "collisions", "number", "lower", ("branches",), ("collisions",)),
-    Metric("unreachable", "unreachable", "percent", "", ("branches",)),
-    Metric("over_budget", "over budget", "percent", "", ("branches",)),
-    Metric("missing", "missing", "percent", "", ("branches",)),
-    Metric("gaps", "gaps", "number", "lower", ("branches",)),
-    Metric("off_navmesh", "off navmesh", "number", "lower", ("branches",)),
-)
+def _read() -> tuple[Metric, ...]:
+    table = files("condvln.evaluation").joinpath("metrics.csv").read_text(encoding="utf-8")
+    listed, said = ("shown", "theirs"), ("yes_or_no",)
+    return tuple(
+        Metric(
+            **row | {name: tuple(row[name].split()) for name in listed} | {name: row[name] == "yes" for name in said}
+        )
+        for row in csv.DictReader(table.splitlines())
+    )
+
+
+METRICS: Final = _read()
 """All metrics, in the order of the tables."""
 
 

@@ -85,8 +85,8 @@ def walk_document(
         "path": np.round(positions, 2).tolist(),
         "distance": [_finite(value, 2) for value in distances],
         "geodesic": pathfinder is not None,
-        "headings": None if headings is None else np.round(-np.degrees(headings) % 360.0).tolist(),
         "stopped": prediction.stopped,
+        "headings": None if headings is None else np.round(-np.degrees(headings) % 360.0).tolist(),
     }
 
 

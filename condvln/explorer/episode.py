@@ -46,8 +46,6 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
     place = dict(zip("xyz", start, strict=True))
     return {
         "id": str(row["episode_id"]),
-        "hash": row.get("episode_hash") or str(row["episode_id"]),
-        "instruction": row["instruction_id"],
         "group": row["group_id"],
         "source": row["source"],
         "scene": row["scene_id"],
@@ -59,7 +57,6 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
         "approximate": row["observability_approximate"],
         "evidence": [dict(one) for one in row["evidence"] or ()],
         "moves": row["moves"],
-        "leads": row["leads"],
         "words": row["words"],
         "text": row["instruction_text"],
         "clauses": clauses(row["instruction_text"], program),
@@ -76,8 +73,6 @@ def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: 
         "max_steps": row["max_steps"],
         "geodesic_distance": row["geodesic_distance"],
         "route_length": row["route_length"],
-        "navmesh": row["navmesh"],
-        "snapshot": row["snapshot"],
         "facts": None if facts is None else [facts.of(condition, place, heading) for condition in program.conditions],
         "certificate": None if certificate is None else _certificate(certificate),
         "frames": [],

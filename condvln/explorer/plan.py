@@ -59,13 +59,9 @@ def _room(room: Room) -> Document:
     return {
         "id": room.room_id,
         "label": room.label,
-        "raw": room.raw_label,
         "level": room.level,
         "floor": _number(room.floor_y),
-        "ceiling": _number(room.ceiling_y),
         "polygon": None if room.polygon is None else [_row(corner) for corner in room.polygon],
-        "annotation": room.annotation,
-        "complete": room.complete,
     }
 
 
@@ -108,7 +104,7 @@ def _number(value: float) -> float | None:
     return round(float(value), _DECIMALS) if np.isfinite(value) else None
 
 
-_METRICS: Final = ("used_distance", "surface_distance", "horizontal_distance", "azimuth", "elevation")
+_METRICS: Final = ("used_distance", "surface_distance", "horizontal_distance")
 _SEMANTIC: Final = "semantic"
 
 

@@ -30,9 +30,8 @@ __all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes", "write_
 Document = dict[str, Any]
 PAGE: Final = "index.html"
 DATA: Final = "data"
-PARTS: Final = ("page.html", "page.css", "chunks.js", "elements.js", "episodes.js", "plan.js", "instruction.js",
-                "evidence.js", "walk.js", "episode.js", "browse.js", "statistics.js", "agents.js", "scene.js",
-                "page.js")  # fmt: skip
+_PAGE_FILES: Final = files("condvln.explorer").joinpath("page")
+PARTS: Final = tuple(sorted(path.name for path in _PAGE_FILES.iterdir()))
 EPISODES_A_CHUNK: Final = 100
 TEXTS_A_CHUNK: Final = 4000
 
@@ -83,6 +82,7 @@ class Site:
         *,
         plan: Document,
         graph: Document | None = None,
+        made: Document | None = None,
         walks: Mapping[str, Document] | None = None,
     ) -> None:
         """Add a scene with its episodes.
@@ -92,6 +92,7 @@ class Site:
         rows : manifest rows of its episodes
         documents : what `episode_document` makes of each of them
         graph : its relations; None where they are not known
+        made : what became of its candidates, as `scene_yield` says it; None where only an export is known
         walks : by episode id, the walks of each agent by name
         """
         number = len(self._scenes)
@@ -102,16 +103,17 @@ class Site:
             "rooms": len(plan["rooms"]),
             "objects": len(plan["objects"]),
             "graph": graph is not None,
+            **{name: made[name] for name in ("wanted", "placed", "reason") if made is not None},
         }
         self._scenes.append(scene)
-        self._write(f"scene-{number}", {"source": source, "id": scene_id, **plan})
+        self._write(f"scene-{number}", {"source": source, "id": scene_id, **plan, "made": made})
         if graph is not None:
             self._write(f"graph-{number}", graph)
         chunk: list[Document] = []
         for row, document in zip(rows, documents, strict=True):
             if not chunk:
                 self._chunks.append(len(self._columns))
-            self._columns.add(row, number)
+            self._columns.add(row, number, len(document["frames"]))
             self._add_text(row["instruction_text"])
             chunk.append(document)
             if len(chunk) == EPISODES_A_CHUNK:
@@ -158,7 +160,7 @@ class Site:
         self._write("agents", {"tables": list(tables), "measures": plotted})
         for name in PARTS:
             with atomic_stream(self.out / (PAGE if name == "page.html" else name)) as stream:
-                stream.write(files("condvln.explorer").joinpath("page", name).read_bytes())
+                stream.write(_PAGE_FILES.joinpath(name).read_bytes())
         return self.out / PAGE
 
     def _episodes(self, documents: list[Document], walks: Mapping[str, Document]) -> None:
@@ -243,7 +245,7 @@ def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> 
 
 NAMED: Final = ("split", "source", "category", "composition", "observability")
 """Columns of names. A null is the name "unknown"."""
-NUMBERS: Final = ("depth", "chain", "moves", "leads", "words", "route_length", "geodesic_distance")
+NUMBERS: Final = ("depth", "chain", "moves", "words", "route_length", "geodesic_distance")
 UNKNOWN: Final = "unknown"
 
 
@@ -252,9 +254,8 @@ class Columns:
 
     def __init__(self) -> None:
         self._names: dict[str, dict[str, int]] = {name: {} for name in (*NAMED, "label", "predicate")}
-        self._values: dict[str, list[Any]] = {
-            name: [] for name in ("id", "scene", "group", "gold_label", "gold_leaf", "leaves", *NAMED, *NUMBERS)
-        }
+        names = ("id", "scene", "group", "pictures", "gold_label", "untrue", *NAMED, *NUMBERS)
+        self._values: dict[str, list[Any]] = {name: [] for name in names}
         self._labels: tuple[list[int], list[int]] = ([0], [])
         self._predicates: tuple[list[int], list[int]] = ([0], [])
         self._groups: dict[tuple[int, str], int] = {}
@@ -262,18 +263,19 @@ class Columns:
     def __len__(self) -> int:
         return len(self._values["id"])
 
-    def add(self, row: Mapping[str, Any], scene: int) -> None:
-        """Add an episode by its manifest row; `scene` is the number of its scene."""
+    def add(self, row: Mapping[str, Any], scene: int, pictures: int = 0) -> None:
+        """Add an episode by its manifest row; `scene` is the number of its scene, `pictures` how many are shown."""
         values = self._values
         values["id"].append(str(row["episode_id"]))
         values["scene"].append(scene)
+        values["pictures"].append(pictures)
         group = row["group_id"]
         # A group is within one scene, and its id is a name of that scene only.
         values["group"].append(-1 if group is None else self._groups.setdefault((scene, group), len(self._groups)))
-        gold = next(leaf for leaf in row["leaves"] if leaf["leaf"] == row["gold_leaf"])
-        values["gold_leaf"].append(gold["leaf"])
-        values["leaves"].append(len(row["leaves"]))
-        values["gold_label"].append(self._number("label", row["program"]["leaves"][gold["leaf"]]["moves"][-1]["label"]))
+        values["untrue"].append(sum(not one["truth"] for one in row["program"]["conditions"]))
+        values["gold_label"].append(
+            self._number("label", row["program"]["leaves"][row["gold_leaf"]]["moves"][-1]["label"])
+        )
         for name in NAMED:
             values[name].append(self._number(name, self._named(row, name)))
         for name in NUMBERS:

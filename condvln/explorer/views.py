@@ -9,13 +9,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.scene.scene import label_colour
 from condvln.sensors import cameras_of
-from condvln.sensors.renderer import Frame, Renderer, png
+from condvln.sensors.renderer import Renderer, png
+from condvln.sensors.shading import shaded
 from schemas.config import CameraConfig
 from schemas.config.constants import EYE_SPACING
 
-__all__ = ["pictures", "shaded"]
+__all__ = ["pictures"]
 
 F64 = NDArray[np.float64]
 CAMERA: Final = "streamvln"
@@ -23,11 +23,12 @@ QUARTERS: Final = 4
 """Number of equal parts of the looking path, at whose ends pictures are taken."""
 
 
-def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[str, bytes]]:
+def pictures(episode: Mapping[str, Any], renderer: Renderer, walks: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
     """Yield a caption and a PNG for the first view and for places along the looking path, looking ahead, then for the
-    frames of the looking walk at which conditions are decided.
+    frames of the looking walk at which conditions are decided, and for the poses at which agents are nearest to these.
 
     episode : a document of :func:`episode_document`
+    walks : documents of :func:`walk_document` by agent; one without headings has no pictures
     """
     camera = next(camera for name, camera in cameras_of(CAMERA).items() if name.startswith("rgb"))
     looking = episode["looking"] or episode["leaves"][episode["gold"]]
@@ -41,8 +42,18 @@ def pictures(episode: Mapping[str, Any], renderer: Renderer) -> Iterator[tuple[s
             heading, caption = math.atan2(-ahead[0], -ahead[2]), f"{walked[at]:.1f} m along the looking path"
         yield caption, _picture(renderer, camera, places[at], heading)
     for k, view in sorted(episode["views"].items()):
-        caption = f"{view['walked']:.1f} m along the looking path, where {'ABCDEFGH'[int(k)]} is decided"
+        decided = f"where {'ABCDEFGH'[int(k)]} is decided"
+        caption = f"{view['walked']:.1f} m along the looking path, {decided}"
         yield caption, _picture(renderer, camera, np.array(view["at"]), -math.radians(view["heading"]))
+        for agent, walk in walks.items():
+            path = np.array(walk["path"], dtype=np.float64)
+            at = int(np.linalg.norm(path - view["at"], axis=1).argmin())
+            if walk["headings"] is not None:
+                heading = -math.radians(walk["headings"][at])
+                yield (
+                    f"agent {agent}, step {at}: as near as it comes to {decided}",
+                    _picture(renderer, camera, path[at], heading),
+                )
 
 
 def _picture(renderer: Renderer, camera: CameraConfig, place: F64, heading: float) -> bytes:
@@ -55,48 +66,3 @@ def _spaced(path: F64, spacing: float) -> tuple[F64, F64]:
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at: F64 = np.linspace(0.0, float(length[-1]), max(1, math.ceil(length[-1] / spacing)) + 1)
     return np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)]), at
-
-
-PLAIN: Final = 0.5
-"""Share of white among the seen pixels from which a picture counts as one without textures."""
-UNSEEN: Final = 205
-"""Grey of pixels at which nothing is known."""
-_LIGHT: Final = np.array([0.35, -0.75, 0.56])  # from the upper left, behind the camera: right, down, ahead
-_AMBIENT: Final = 0.55
-
-
-def shaded(frame: Frame, labels: tuple[str, ...], hfov: float) -> NDArray[np.uint8]:
-    """Return a frame's picture (h, w, 3). If most of it is white, as meshes without textures are drawn, its white
-    surfaces are coloured and shaded. Pixels at which nothing is known are grey.
-
-    Parameters
-    ----------
-    labels : label of each number in ``frame.label``, from 1
-    hfov : horizontal angle of view, degrees
-    """
-    seen = frame.depth > 0
-    white = seen & np.all(frame.rgb == 255, axis=-1)
-    picture = frame.rgb.copy()
-    if white.sum() > PLAIN * max(1, seen.sum()):
-        colours = np.array([(0.85, 0.83, 0.8), *map(label_colour, labels)])
-        light = _light(frame.depth.astype(np.float64), hfov)
-        coloured = np.clip(colours[frame.label] * light[..., None] * 255, 0, 255).astype(np.uint8)
-        picture[white] = coloured[white]
-    picture[~seen] = UNSEEN
-    return picture
-
-
-def _light(depth: NDArray[np.float64], hfov: float) -> NDArray[np.float64]:
-    """Return the brightness (h, w) of the pixels, computed from the normal of the surface at each pixel. The slopes of
-    1 / depth give the normal, since 1 / depth of a plane is linear over the picture.
-    """
-    height, width = depth.shape
-    focal = width / 2 / np.tan(np.radians(hfov) / 2)
-    near = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
-    down, right = np.gradient(near)
-    columns = np.arange(width) - (width - 1) / 2
-    rows = (np.arange(height) - (height - 1) / 2)[:, None]
-    normal = np.stack([right * focal, down * focal, near - right * columns - down * rows], axis=-1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    brightness: NDArray[np.float64] = _AMBIENT + (1 - _AMBIENT) * np.abs(normal @ _LIGHT)
-    return brightness

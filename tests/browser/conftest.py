@@ -77,7 +77,7 @@ def explored(config: Config, page: Path, *, inline: bool) -> Run:
     files = tuple(page.parent / f"{agent}.json" for agent in AGENTS)
     for agent, path in zip(AGENTS, files, strict=True):
         walk_split(config.export, split, agent, path, roots, 0)
-    explore(Exploration(page, config.export, config, files))
+    explore(Exploration(page, config.export, config, files, views=2))
     database = duckdb.connect()
     snapshot = published(config)
     for table in snapshot.manifest.tables:

@@ -134,7 +134,7 @@ def browser(profile: Path) -> Iterator[Chrome]:
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = Chrome(options=options, service=Service(shutil.which("chromedriver") or ""))
-    driver.set_script_timeout(PATIENCE)
+    driver.set_script_timeout(4 * PATIENCE)  # an audit of thousands of elements takes seconds on an idle machine
     try:
         yield driver
     finally:

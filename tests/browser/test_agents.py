@@ -12,6 +12,7 @@ from selenium.webdriver.support.ui import Select
 
 from condvln.evaluation.render import as_document, as_markdown
 from condvln.evaluation.split import SplitOptions
+from jobs.agents import evidence_seen
 from jobs.evaluate import EvaluationReport, Question, evaluate_predictions
 from tests.browser.conftest import AGENTS, Run
 from tests.browser.driver import Page
@@ -24,9 +25,9 @@ def evaluated(made: Run) -> EvaluationReport:
     assert made.config.export is not None
     files = tuple(made.page.parent / f"{agent}.json" for agent in AGENTS)
     roots = tuple(source.root for source in made.config.sources)
-    return evaluate_predictions(
-        Question(made.config.export, made.split, files, options=SplitOptions(navmesh_roots=roots))
-    )
+    datasets = [f"{source.family}={source.root}" for source in made.config.sources]
+    options = SplitOptions(navmesh_roots=roots, sees_of=evidence_seen(made.config.export, datasets, roots))
+    return evaluate_predictions(Question(made.config.export, made.split, files, options=options))
 
 
 def written_cells(report: EvaluationReport) -> dict[str, list[list[str]]]:
@@ -77,6 +78,22 @@ def test_agents_tables_are_those_of_evaluate(page: Page, evaluated: EvaluationRe
             assert (point["line"] is None) == (row["low"] is None)
             drawn += 1
     assert drawn == sum(row[axis] != "all" for axis in ("depth", "chain") for row in numbers[f"by_{axis}"]["rows"]) * 3
+
+
+def test_what_tells_the_best_agent_is_in_sight(page: Page, evaluated: EvaluationReport) -> None:
+    page.go("#/agents")
+    heads = page.texts("[data-table='main-first'] thead th")
+    assert [head.removesuffix(" ↑") for head in heads[2:]] == ["SR", "SPL-look", "BSA-all", "CSR-all", "justified", "n"]
+    script = """return [...document.querySelectorAll('.scroll')].filter((box) =>
+        !box.closest('details:not([open])') && box.scrollWidth > box.clientWidth)
+        .map((box) => box.getAttribute('aria-label'))"""
+    assert page.run(script) == [], "a table is scrolled sideways at 1280 px"
+    rows = [row.split("|") for row in cells(page, "main-first")]
+    assert {row[0] for row in rows[: len(AGENTS)]} == {"all"}
+    best = page.run(
+        "return document.querySelector('[data-table=main-first] tbody tr b').closest('tr').children[1].textContent"
+    )
+    assert best == "perfect"
 
 
 def outcome(row: dict[str, Any]) -> str:

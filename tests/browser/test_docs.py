@@ -21,7 +21,9 @@ def documentation(in_make_browser: None, tmp_path_factory: pytest.TempPathFactor
     return folder
 
 
-@pytest.mark.parametrize(("word", "page"), [("install", "index.html"), ("BSA", "metrics.html")])
+@pytest.mark.parametrize(
+    ("word", "page"), [("install", "index.html"), ("BSA", "metrics.html"), ("citation", "index.html")]
+)
 def test_the_search_works_from_a_folder(chromium: Any, documentation: Path, word: str, page: str) -> None:
     shown = Page(chromium, documentation)
     shown.driver.get(f"file://{documentation}/tutorial.html")

@@ -63,6 +63,13 @@ def test_each_filter_gives_what_duckdb_counts(page: Page, made: Run) -> None:
         where len(list_filter(conditions, lambda c: c.qualifier.predicate = 'near')) > 0"""
     choose(page, "predicate", "near")
     assert count(page) == made.ask(asked)[0][0]
+    for value, sign in (("some", ">"), ("none", "=")):
+        choose(page, "untrue", value)
+        false = "len(list_filter(conditions, lambda c: not c.truth))"
+        asked = (
+            f"select count(*) from episodes join instructions using (instruction_id, scene_id) where {false} {sign} 0"
+        )
+        assert count(page) == made.ask(asked)[0][0], value
     label = made.ask("select conditions[1].label, count(*) n from instructions group by 1 order by n desc, 1")[0][0]
     named = f"""select count(*) from episodes e join instructions i using (instruction_id, scene_id) where
         len(list_filter(conditions, lambda c: c.label = '{label}' or
@@ -94,6 +101,95 @@ def test_outcomes_of_agents_are_filters_and_links(page: Page, made: Run) -> None
     link.click()
     page.until("return location.hash.startsWith('#/browse') && Boolean(document.getElementById('count'))")
     assert count(page) == wanted
+
+
+def test_failures_and_differences_of_agents_are_filters(page: Page, made: Run) -> None:
+    page.go("#/agents")
+    table = {row[0]: row[1:] for row in (row.split("|") for row in cells(page, "outcomes"))}
+    for agent in AGENTS:
+        choose(page, f"agent:{agent}", "not success")
+        assert count(page) == sum(map(int, table[agent][1:])), agent
+    choose(page, "differ", "outcome")
+    assert len(page.all(".episodes .outcomes")) == min(count(page), 50) > 0
+    became = """return [...document.querySelectorAll('.episodes .outcomes')].map((row) =>
+        [...row.children].map((one) => one.textContent.split(': ')[1]))"""
+    assert all(len(set(row)) > 1 for row in page.run(became))
+
+
+def test_scenes_say_what_they_yield_and_can_be_sorted(page: Page, made: Run) -> None:
+    page.go("#/scenes")
+    heads = page.texts("[data-table='scenes'] thead th")
+    assert {"wanted", "placed", "main reason for less", *(f"SR of {agent}" for agent in AGENTS)} <= set(heads)
+    wanted = {
+        f"{source}/{scene}": (str(w), str(p))
+        for source, scene, w, p in made.ask(
+            "select source, scene_id, sum(wanted), sum(placed) from funnel group by all"
+        )
+    }
+    at = [heads.index("wanted"), heads.index("placed")]
+    assert {row.split("|")[0]: tuple(row.split("|")[k] for k in at) for row in cells(page, "scenes")} == wanted
+    for order in (-1, 1):
+        page.all("[data-table='scenes'] thead button")[at[1]].click()
+        placed = [int(row.split("|")[at[1]]) for row in cells(page, "scenes")]
+        assert placed == sorted(placed, key=lambda value: order * value)
+    page.all("[data-table='scenes'] tbody a")[0].click()
+    page.one("#yield")
+    name = page.one("h1").text.removeprefix("Scene ")
+    source, scene = name.split("/", 1)
+    rows = made.ask(
+        f"select cell, wanted, candidates, placed from funnel where source = '{source}' and scene_id = '{scene}'"
+    )
+    shown = [row.split("|") for row in cells(page, "yield")]
+    assert {tuple(row[:4]) for row in shown} == {(c.replace("_", " "), *map(str, row)) for c, *row in rows}
+    assert all((row[4] == "–") == (int(row[3]) >= int(row[1])) for row in shown), (
+        "a reason stands where some are missing"
+    )
+
+
+def test_five_questions_take_three_clicks(page: Page, made: Run) -> None:
+    nav = "header nav a[data-view='{}']"
+    # which agent is best? where do two agents differ?
+    page.open("#/help")
+    page.one(nav.format("agents")).click()
+    assert page.one("[data-table='main-first'] b").is_displayed()
+    page.one("[data-table='compared'] tbody a").click()
+    page.until("return Boolean(document.getElementById('count'))")
+    assert count(page) > 0
+    # which scenes fail, and why?
+    page.one(nav.format("scenes")).click()
+    page.one("[data-table='scenes'] tbody a").click()
+    assert page.one("#yield").is_displayed()
+    # why is this condition false? what did this agent see when it decided?
+    page.open("#/browse?untrue=some&pictures=some")
+    page.one(".episodes a").click()
+    page.one(".tree [data-condition] .false").click()
+    assert page.one(".verdict").text.startswith("✘ False")
+    captions = page.texts(".seen-frames figcaption")
+    assert any(
+        re.search(r"^agent \S+, step \d+: as near as it comes to where [A-H] is decided$", one) for one in captions
+    )
+
+
+def test_a_plan_can_be_zoomed_and_marked_names_stand_once(page: Page, made: Run) -> None:
+    name, k = relational(made, True)
+    page.go(f"#/episode/{name}?mark={'ABCDEFGH'[k]}")
+    names = "return [...document.querySelectorAll('.plan-holder .marked-label')].map((node) => node.textContent).sort()"
+    doubled = """const shown = [...document.querySelectorAll('.plan .object-label:not(.off)')];
+        return [...document.querySelectorAll('.marked-label')].filter((own) => shown.some((one) => one.textContent ===
+            own.textContent && Math.abs(one.getBoundingClientRect().x - own.getBoundingClientRect().x) < 20)).length"""
+    wide = "return document.querySelector('.plan .room').getBBox().width"
+    rings = "return document.querySelectorAll('.layer-named .ring').length"
+    ringed = page.run(rings)
+    before, room = page.run(names), page.run(wide)
+    page.one("[aria-label='Zoom in']").click()
+    assert page.run(wide) == pytest.approx(1.6 * room, rel=0.01)
+    assert page.run(doubled) == 0
+    page.one("[aria-label='Show the whole plan']").click()
+    assert page.run(wide) == pytest.approx(room, rel=0.01)
+    assert page.run(names) == before
+    page.size(1180)
+    page.until("return document.querySelector('.plan').clientWidth < 700")
+    assert page.run(rings) == ringed, "only small things have a ring, also when the plan is drawn afresh"
 
 
 def objects(page: Page, kind: str) -> list[str]:
@@ -251,19 +347,24 @@ def test_the_plan_is_to_scale(page: Page, made: Run) -> None:
 def test_playback_walks_to_the_goal(page: Page, made: Run) -> None:
     name = min(key for key, row in made.manifest.items() if row["split"] == made.split)
     page.go(f"#/episode/{name}")
+    step = """const slider = document.querySelector('.playback input[type=range]');
+        slider.value = arguments[0] ?? slider.max; slider.dispatchEvent(new Event('input'))"""
+    drawn = "return document.querySelector('.layer-walk .walk').getAttribute('points').split(' ').length"
     before = cells(page, "walks")
-    assert before[0].startswith("perfect|0 of ")
-    assert f"ends with: success leaf {made.manifest[name]['gold_leaf']}" in before[0]
-    assert len(page.all(".layer-walk .walk.ahead")) == 2, "the walks are there before they are played"
-    assert float(before[0].split("|")[2]) == pytest.approx(made.manifest[name]["geodesic_distance"], abs=0.02)
+    assert before[0].endswith(f"|success leaf {made.manifest[name]['gold_leaf']}"), "whole walks come first"
+    assert float(before[0].split("|")[2]) < made.manifest[name]["success_distance"]
+    whole = page.run(drawn)
+    page.run(step, 0)
+    start = cells(page, "walks")
+    assert start[0].startswith("perfect|0 of ")
+    assert float(start[0].split("|")[2]) == pytest.approx(made.manifest[name]["geodesic_distance"], abs=0.02)
+    assert page.run(drawn) == 1, "what comes later is not drawn"
     page.one(".play").click()
     page.until("return Number(document.querySelector('.playback input[type=range]').value) > 2")
     page.one(".play").click()
-    page.run("""const slider = document.querySelector('.playback input[type=range]');
-        slider.value = slider.max; slider.dispatchEvent(new Event('input'))""")
-    after = next(row for row in cells(page, "walks") if row.startswith("perfect"))
-    assert float(after.split("|")[2]) < made.manifest[name]["success_distance"]
-    assert after.endswith(f"|success leaf {made.manifest[name]['gold_leaf']}")
+    assert 1 < page.run(drawn) < whole
+    page.run(step)
+    assert cells(page, "walks") == before
     page.one("[data-agent='always-then']").click()
     assert len(cells(page, "walks")) == 3
 
@@ -295,6 +396,13 @@ def test_a_group_is_shown_side_by_side(page: Page, made: Run) -> None:
     page.one("#group").click()
     page.until("return document.querySelectorAll('.side-by-side .plan').length > 0")
     assert len(page.all(".side-by-side section")) == wanted
+    assert all(text.startswith("Changed: ") for text in page.texts(".changed")[1:])
+    numbers = """return [...document.querySelectorAll('.side-by-side section')].map((one) => Object.fromEntries(
+        [...one.querySelectorAll('.mark.goal, .mark.star')].map((mark) =>
+            [mark.querySelector('title').textContent.split(': ')[1],
+            [mark.querySelector('text').textContent, getComputedStyle(mark).fill]])))"""
+    first, *others = page.run(numbers)
+    assert all(own == first for own in others), "a goal keeps its number and its colour"
 
 
 def test_an_object_shows_its_relations(page: Page, made: Run) -> None:

@@ -92,6 +92,7 @@ location.hash = arguments[0];
 def renderers(page: Page) -> list[psutil.Process]:
     """Return the processes that run pages of this browser."""
     own = psutil.Process(page.driver.service.process.pid).children(recursive=True)
+    own = [one for one in own if one.status() != psutil.STATUS_ZOMBIE]
     return [one for one in own if "--type=renderer" in " ".join(one.cmdline())]
 
 

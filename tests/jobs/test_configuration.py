@@ -9,6 +9,7 @@ import yaml
 
 from jobs.benchmark import Benchmark
 from jobs.configuration import load_config
+from jobs.export_origin import remember_data
 from schemas.config import Config, RayConfig, SourceConfig
 from schemas.errors import ConfigError
 
@@ -61,6 +62,16 @@ def test_the_style_of_the_paper_is_other_defaults_and_what_is_given_stays(writte
 def test_set_reaches_into_lists(written, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     assert load_config(written(), ["sources.0.root=other"], {}).sources[0].root == tmp_path / "other"
+
+
+def test_a_folder_that_is_gone_is_where_data_said_when_the_export_was_made(written, tmp_path: Path) -> None:
+    path = written(export="out/export", sources=[{"family": "replicacad", "root": "nowhere"}])
+    (tmp_path / "out").mkdir()
+    remember_data(load_config(path, [f"replicacad={tmp_path / 'data'}"], {}))
+    assert load_config(path, environment={}).sources[0].root == tmp_path / "data"
+    (tmp_path / "data").rmdir()
+    with pytest.raises(ConfigError, match="no such folder"):
+        load_config(path, environment={})
 
 
 ALLOWED = {"top": Config, "sources": SourceConfig, "ray": RayConfig}

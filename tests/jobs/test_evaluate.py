@@ -147,7 +147,7 @@ def test_missing_predictions_are_counted_aloud(
     whole = json.loads(agents["oracle"].read_text())
     some = dict(list(whole.items())[:kept])
     short.write_text(json.dumps(some))
-    lacking = [task.episode_id for task in tasks if task.episode_id not in some]
+    lacking = [int(task.episode_id) for task in tasks if task.episode_id not in some]
     document = json.loads(evaluate(short, agents["oracle"], "--json").stdout)
     warning, unchecked = document["warnings"]
     assert unchecked.startswith(f"justified is undefined in {len(tasks)} of {len(tasks)} episodes")
@@ -166,6 +166,18 @@ def test_missing_predictions_are_counted_aloud(
     assert count in str(refused.exception)
     assert refused.exception.exit_code == 3
     assert evaluate(agents["oracle"], "--strict").exit_code == 0
+
+
+def test_a_split_without_episodes_says_so(evaluate: Any, export: Path, agents: dict[str, Path], tmp_path: Path) -> None:
+    copied = tmp_path / "export"
+    shutil.copytree(export, copied)
+    (copied / "manifest" / "val_seen.jsonl").write_text("")
+    out = tmp_path / "nearest.json"
+    for words in (["walk", str(copied), "val_seen", "--agent", "nearest", "--out", str(out)],
+                  ["evaluate", str(copied), "val_seen", str(out)]):  # fmt: skip
+        result = runner.invoke(app, words)
+        assert result.exit_code == 0, result.output
+        assert "the split has no episodes" in " ".join(result.output.split())
 
 
 def broken(whole: dict[str, Any], kind: str) -> dict[str, Any]:
@@ -188,7 +200,7 @@ def test_walks_that_no_agent_can_have_made_are_named_and_refused_by_strict(
     path = tmp_path / "agent.json"
     whole = json.loads(agents["oracle"].read_text())
     path.write_text(json.dumps(broken(whole, kind)))
-    names = list(whole)[:2]
+    names = [int(name) for name in list(whole)[:2]]  # as in the tables
     document = json.loads(evaluate(path, agents["oracle"], "--json").stdout)
     first, second = document["predictions"]
     off = kind != "two poses"
@@ -199,7 +211,7 @@ def test_walks_that_no_agent_can_have_made_are_named_and_refused_by_strict(
     said = " ".join(document["warnings"])
     assert "2 of " in said
     assert "episodes have steps that no single action can make" in said
-    assert all(name in said for name in names)
+    assert all(str(name) in said for name in names)
     assert ("off the navmesh" in said) is off
     refused = evaluate(path, "--strict")
     assert isinstance(refused.exception, FormatError)

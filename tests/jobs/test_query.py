@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from factory.object_store import ObjectStore
 from factory.snapshot import Snapshot
 from jobs.command import app
-from jobs.query import QUERIES, VIEWS, connect, list_queries, query_target
+from jobs.query import QUERIES, VIEWS, connect, list_queries, query_target, views_sql
 from jobs.report import Report
 from jobs.workspace import Target
 from schemas.config import Config
@@ -144,6 +144,10 @@ def test_published_files_describe_their_columns_and_views_sql_reads_them(target:
         for name in (*TABLES, *VIEWS):
             (counted,) = connection.execute(f"SELECT count(*) FROM {name}").fetchone() or ()
             assert [{"n": counted}] == rows(target, f"SELECT count(*) AS n FROM {name}")
+    with duckdb.connect() as elsewhere:  # the views of a store that is on no disk name its address
+        elsewhere.execute(views_sql(f"{folder}/"))
+        (counted,) = elsewhere.execute("SELECT count(*) FROM episodes").fetchone() or ()
+        assert [{"n": counted}] == rows(target, "SELECT count(*) AS n FROM episodes")
 
 
 def test_labelled_relations_are_those_between_objects(target: Target) -> None:
@@ -257,6 +261,10 @@ def test_every_recipe_runs(
     namespace: dict[str, Any] = {"SNAPSHOT": target.folder(), "STORE": target.address, "ADDRESS": made_away.store}
     if "deltalake" in text:
         namespace["LAKE"] = tmp_path / "lake"
+    if "SCORES" in text:
+        scored = [{"episode_id": row["episode_id"], "success": 1.0} for row in rows(target, "SELECT * FROM episodes")]
+        namespace["SCORES"] = tmp_path / "scores.jsonl"
+        namespace["SCORES"].write_text("".join(json.dumps(row) + "\n" for row in scored))
     exec(compile(text, f"cookbook block {at}", "exec"), namespace)
     assert len(namespace["answer"]), "a recipe in Python leaves its rows in `answer`"
 

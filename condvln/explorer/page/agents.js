@@ -5,10 +5,34 @@
   const { element, svg, link, count } = explorer;
   const CHART = { width: 300, height: 170, left: 34, bottom: 24 };
 
+  const FIRST = ["success", "spl_look", "bsa_all", "csr_all", "justified"];
+
+  /* Return a cell with its interval beneath the number. */
+  function stacked(text) {
+    const parts = text.match(/^(\S+) (\[.*)$/);
+    return parts ? [`${parts[1]} `, element("span", { class: "interval" }, parts[2])] : text;
+  }
+
+  function whole(table) {
+    return element("div", { "data-split": table.split }, explorer.table(`${table.title}, all measures (${table.split})`, table.headings, table.cells.map((row) => row.map(stacked)), table.name),
+      table.note ? element("p", { class: "note" }, table.note) : "");
+  }
+
+  /* Return the measures that tell which agent is best, all sources first, the best of each block in bold; all others are
+     in a table behind them. */
   function shown(table) {
-    return element("div", { "data-split": table.split }, explorer.table(`${table.title} (${table.split})`, table.headings, table.cells, table.name),
-      table.note ? element("p", { class: "note" }, table.note) : "",
-      table.cells.some((row) => row.some((cell) => cell.includes("["))) ? element("p", { class: "note" }, "In brackets: 95 % intervals, scenes drawn with replacement. A row without them comes from one scene.") : "");
+    const keys = Object.keys(table.rows[0]);
+    const names = keys.filter((_, k) => !table.headings[k].startsWith("#"));
+    const over = names.filter((name) => name !== "agent");
+    const used = [...names, ...FIRST.filter((name) => keys.includes(name)), "episodes"].filter((name) => keys.includes(name)).map((name) => keys.indexOf(name));
+    const block = (row) => over.map((name) => row[name]).join();
+    const best = (row, key) => row[key]?.mean > 0 && table.rows.every((other) => block(other) !== block(row) || !(other[key]?.mean > row[key].mean));
+    const order = table.rows.map((row, k) => [over.some((name) => row[name] === "all") ? 0 : 1, k]).sort(([a, i], [b, j]) => a - b || i - j);
+    const cells = order.map(([, n]) => used.map((k) => (best(table.rows[n], keys[k]) ? element("b", {}, stacked(table.cells[n][k])) : stacked(table.cells[n][k]))));
+    return element("div", { "data-split": table.split },
+      element("div", { class: "stacked" }, explorer.table(`${table.title} (${table.split})`, used.map((k) => table.headings[k]), cells, `${table.name}-first`)),
+      table.cells.some((row) => row.some((cell) => cell.includes("["))) ? element("p", { class: "note" }, "Beneath a number: its 95 % interval, scenes drawn with replacement; a row without them comes from one scene. Bold: the best of its block.") : "",
+      element("details", {}, element("summary", {}, "All measures"), whole(table)));
   }
 
   /* Return a chart of a measure over depth or chain, a line an agent with its 95 % interval. */
@@ -55,7 +79,7 @@
     const used = outcomes.map((_, k) => k).filter((k) => k > 0 && found.some((own, j) => j > 0 && (own[k] || found[k][j])));
     const rows = used.map((j) => [`${first.name}: ${outcomes[j]}`, ...used.map((k) => (found[j][k]
       ? link(count(found[j][k]), "browse", { [`agent:${first.name}`]: outcomes[j], [`agent:${second.name}`]: outcomes[k] }) : "0"))]);
-    return explorer.table(`Where ${first.name} and ${second.name} differ`, ["episodes", ...used.map((k) => `#${second.name}: ${outcomes[k]}`)], rows, "compared");
+    return element("div", { class: "stacked" }, explorer.table(`What became of the same episodes: ${first.name} and ${second.name}`, ["episodes", ...used.map((k) => `#${second.name}: ${outcomes[k]}`)], rows, "compared"));
   }
 
   const AXES = { category: "category", depth: "depth", chain: "chain", source: "source", observability: "observability" };
@@ -78,7 +102,7 @@
         return [axis === "all" ? link(label, "browse", { split: table.split }) : AXES[axis] ? link(label, "browse", asked) : label, ...numbers];
       });
       const heads = [`#SR of ${first}`, `#SR of ${second}`, ...table.headings.slice(6)];
-      return element("div", { "data-split": table.split, class: "stacked one" },
+      return element("div", { "data-split": table.split, class: "stacked" },
         explorer.table(`How much better ${first} is than ${second} (${table.split}), in percentage points`, ["episodes", ...heads], rows, "differences"),
         element("p", { class: "note" }, table.note));
     });
@@ -116,9 +140,9 @@
     }
     const { tables, measures } = await explorer.load("agents");
     const rest = new Set(["main", "by_depth", "by_chain", "differences"]);
-    main.replaceChildren(element("h1", {}, "Agents"), outcomesOf(), tables.filter((table) => table.name === "main").map(shown)[0] || "");
-    main.append(...tables.filter((table) => table.name === "main").slice(1).map(shown), element("h2", {}, "Depth and chain"), ...sweeps(tables, measures), comparison(tables) || "",
-      element("details", {}, element("summary", {}, "All tables"), tables.filter((table) => !rest.has(table.name)).map(shown)));
+    main.replaceChildren(element("h1", {}, "Agents"), ...tables.filter((table) => table.name === "main").map(shown), outcomesOf(), comparison(tables) || "",
+      element("h2", {}, "Depth and chain"), ...sweeps(tables, measures),
+      element("details", {}, element("summary", {}, "All tables"), tables.filter((table) => !rest.has(table.name)).map(whole)));
     return "Agents";
   };
 }

@@ -7,6 +7,7 @@
     split: "Split", source: "Source", category: "Category", composition: "Composition", observability: "Observability",
     gold_label: "Gold goal", label: "Names", predicate: "Asks", depth: "Depth", chain: "Chain", moves: "Moves",
     words: "Words", route_length: "Route, m", geodesic_distance: "Direct, m", scene: "Scene", group: "Group", q: "Text",
+    differ: "Agents", untrue: "Conditions", pictures: "Pictures",
   };
 
   function select(name, values, asked, change) {
@@ -14,6 +15,14 @@
       values.map((value) => element("option", { value, selected: asked[name] === String(value) }, value)));
     node.addEventListener("change", () => change(name, node.value));
     return field(name, node);
+  }
+
+  /* Return a choice between all and a few named values. */
+  function pick(name, values, asked, change, title) {
+    const node = element("select", { id: `filter-${name}`, name }, element("option", { value: "" }, "all"),
+      values.map(([value, label]) => element("option", { value, selected: asked[name] === value }, label)));
+    node.addEventListener("change", () => change(name, node.value));
+    return field(name, node, title);
   }
 
   function field(name, node, title) {
@@ -41,12 +50,12 @@
       asked.group && asked.group !== "any" ? element("option", { value: asked.group, selected: true }, `group ${asked.group}`) : null);
     groups.addEventListener("change", () => change("group", groups.value));
     const agents = index.agents.map((agent) => {
-      const name = `agent:${agent.name}`;
-      const node = element("select", { id: `filter-${name}`, name }, element("option", { value: "" }, "all"),
-        index.outcomes.map((outcome) => element("option", { value: outcome, selected: asked[name] === outcome }, outcome)));
-      node.addEventListener("change", () => change(name, node.value));
-      return field(name, node, `Agent ${agent.name}`);
+      const [first, success, ...failures] = index.outcomes;
+      return pick(`agent:${agent.name}`, [success, explorer.filters.NOT_SUCCESS, ...failures, first].map((one) => [one, one]), asked, change, `Agent ${agent.name}`);
     });
+    if (agents.length > 1) agents.push(pick("differ", [["outcome", "they differ"]], asked, change));
+    agents.push(pick("untrue", [["some", "one is false"], ["none", "all are true"]], asked, change));
+    if (index.columns.pictures.some((value) => value > 0)) agents.push(pick("pictures", [["some", "with pictures"]], asked, change));
     return element("form", { class: "filters", "aria-label": "Filters", onsubmit: (event) => event.preventDefault() }, search,
       CHOICES.filter((name) => name !== "gold_label").map((name) => select(name, sorted(index.names[name]), asked, change)),
       typedField("scene", asked, change, scenes),
@@ -67,8 +76,8 @@
     return element("li", {},
       element("a", { href: explorer.address(`episode/${id}`, asked), "data-episode": id },
         element("span", { class: "id" }, id), " ", element("span", { class: "tags" },
-          `${at("split")} · ${scene.source}/${scene.id} · ${at("category")} · ${at("composition")} · ${at("observability")} · `
-          + `${number(index.columns.route_length[row], 1)} m · gold: ${at("gold_label")}`)),
+          `${at("split")} · ${scene.source}/${scene.id} · `, explorer.code(at("category")), " · ", explorer.code(at("composition")), " · ", explorer.code(at("observability")),
+          ` · ${number(index.columns.route_length[row], 1)} m · gold: ${at("gold_label")}`)),
       slot, outcomes.length ? element("p", { class: "outcomes" }, outcomes) : null);
   }
 

@@ -44,6 +44,36 @@
         element("caption", {}, element("span", {}, caption)), element("thead", {}, element("tr", {}, head)), element("tbody", {}, body)));
   };
 
+  /* Let the rows of a table be sorted by each heading: numbers from the most, texts from A. */
+  explorer.sortable = (node) => {
+    const body = node.querySelector("tbody");
+    const key = (row, k) => row.children[k].textContent.replaceAll(",", "");
+    node.querySelectorAll("thead th").forEach((head, k) => {
+      const numeric = head.classList.contains("number");
+      const sort = () => {
+        const down = head.getAttribute("aria-sort") === (numeric ? "descending" : "ascending") ? -1 : 1;
+        const value = (row) => { const found = parseFloat(key(row, k)); return Number.isNaN(found) ? -1 : found; };
+        const rows = [...body.children].sort((a, b) => down * (numeric ? value(b) - value(a) : key(a, k).localeCompare(key(b, k))));
+        for (const other of node.querySelectorAll("thead th")) other.removeAttribute("aria-sort");
+        head.setAttribute("aria-sort", numeric === (down === 1) ? "descending" : "ascending");
+        body.replaceChildren(...rows);
+      };
+      head.replaceChildren(explorer.element("button", { type: "button", class: "as-link", onclick: sort }, head.textContent));
+    });
+    return node;
+  };
+
+  /* What the codes of the axes mean. */
+  const CODES = {
+    C0: "all in one room", C1: "several rooms", C2: "the condition and its leaves are in three rooms",
+    O0: "the evidence is seen from the start", O0f: "the evidence is in the first view",
+    O1: "the evidence is seen on the way that all leaves share", O2: "the evidence is not seen before the ways to the leaves part",
+    simple: "one condition, two leaves", nested: "a condition within one side of another", chain: "if, else if, else: conditions tried one after the other",
+    nested_chain: "a chain within one side of a condition", deep_nested: "conditions within conditions, three deep", long_chain: "three conditions tried one after the other",
+  };
+  explorer.meaning = (code) => CODES[code] || "";
+  explorer.code = (code) => (CODES[code] ? explorer.element("abbr", { title: CODES[code] }, code) : String(code));
+
   /* Return a link to a view with parameters; empty ones are left out. */
   explorer.address = (path, parameters) => {
     const query = new URLSearchParams();

@@ -3,11 +3,14 @@
 
 {
   const { element, number, link } = explorer;
-  const AXES = {
-    C0: "C0, all in one room", C1: "C1, several rooms", C2: "C2, condition and leaves in three rooms",
-    O0: "O0, evidence seen from the start", O0f: "O0f, evidence in the first view",
-    O1: "O1, seen on the way that all leaves share", O2: "O2, not seen before the ways to the leaves part",
-  };
+  const meaning = (code) => (explorer.meaning(code) ? `${code}, ${explorer.meaning(code)}` : code || "unknown");
+
+  /* Number and colour of a leaf: its own number, or within a group those of the same goal in the first episode. */
+  const tag = (leaf) => leaf.tag ?? leaf.leaf;
+  function kindOf(episode, leaf) {
+    if (leaf.tag !== undefined) return `leaf-${leaf.tag % 4}${leaf.leaf === episode.gold ? " taken" : ""}`;
+    return leaf.leaf === episode.gold ? "gold" : `leaf-${leaf.leaf % 4}`;
+  }
 
   /* Draw an episode over a plan. Returns `choose(about)`, which marks a condition or a leaf, or nothing. */
   function drawing(episode) {
@@ -21,17 +24,23 @@
       const order = episode.leaves.filter((leaf) => leaf.leaf !== episode.gold);
       const gold = episode.leaves.find((leaf) => leaf.leaf === episode.gold);
       for (const leaf of [...order, gold]) {
-        const kind = leaf === gold ? "gold" : `leaf-${leaf.leaf % 4}`;
+        const kind = kindOf(episode, leaf);
         const nodes = [plan.way("paths", leaf.path, kind)];
         for (const [k, stop] of leaf.stops.entries()) {
           nodes.push(plan.mark(stop.at, `stop ${kind}`, String.fromCharCode(97 + k), `leaf ${leaf.leaf}, stop ${k + 1}: ${explorer.thing(plan.scene, stop.object)}`));
         }
         for (const goal of leaf.goals.slice(1)) nodes.push(plan.mark(goal, `dot ${kind}`, "", `leaf ${leaf.leaf}: another goal point`));
         const end = leaf.path[leaf.path.length - 1];
-        nodes.push(plan.mark(end, `${leaf === gold ? "star" : "goal"} ${kind}`, String(leaf.leaf), `leaf ${leaf.leaf}: ${explorer.thing(plan.scene, leaf.object)}`));
+        nodes.push(plan.mark(end, `${leaf === gold ? "star" : "goal"} ${kind}`, String(tag(leaf)), `leaf ${tag(leaf)}: ${explorer.thing(plan.scene, leaf.object)}`));
         leaves.set(leaf.leaf, nodes);
       }
       if (episode.looking) plan.way("paths", episode.looking.path, "looking");
+      const eyes = new Map();  // conditions that are decided at one place share an eye
+      for (const [k, view] of Object.entries(episode.views || {})) eyes.set(String(view.at), [...(eyes.get(String(view.at)) || []), [explorer.letter(Number(k)), view]]);
+      for (const own of eyes.values()) {
+        plan.mark(own[0][1].at, "eye", own.map(([letter]) => letter).join(" "), own.map(([letter, view]) =>
+          `${letter} is decided here: after ${view.frame} actions, ${number(view.walked, 1)} m along the looking path`).join("; "));
+      }
       plan.arrow("marks", episode.start, episode.heading, "start");
       mark(fixed);
     }
@@ -67,8 +76,7 @@
       const view = episode.views?.[index];
       if (view) {
         for (const target of [...targets, ...anchors.map(centre).filter(Boolean)]) plan.way("rays", [view.at, target], "ray");
-        const eye = plan.mark(view.at, "eye", "", `decided here, ${number(view.walked, 1)} m along the looking path`);
-        plan.layers.named.append(eye, explorer.svg("text", { x: plan.x(view.at[0]), y: plan.y(view.at[2]) + 22, class: "eye-label", "font-size": 11 }, "decided here"));
+        plan.layers.named.append(explorer.svg("text", { x: plan.x(view.at[0]), y: plan.y(view.at[2]) - 14, class: "eye-label", "font-size": 11 }, `after ${view.frame} actions`));
       }
     }
 
@@ -93,7 +101,7 @@
     const options = {
       title: `Plan of scene ${episode.scene}, north up, with the start and the ways to all leaves`,
       points: positions(episode), named, level: null,
-      height: onDraw ? Math.max(300, Math.min(window.innerHeight * 0.55, 640)) : null, over: (plan) => { drawn.over(plan); if (onDraw) onDraw(plan); },
+      height: onDraw ? Math.max(340, Math.min(window.innerHeight * 0.66, 720)) : null, over: (plan) => { drawn.over(plan); if (onDraw) onDraw(plan); },
       pick: (item) => { location.hash = explorer.address(`scene/${encodeURIComponent(`${episode.source}/${episode.scene}`)}`, { object: item.id }); },
     };
     let plan = null;
@@ -102,7 +110,7 @@
       options.navmesh = navmesh.checked;
       plan.layers.floor.classList.toggle("off", !navmesh.checked);
     } });
-    const switches = element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"));
+    const switches = element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), explorer.zoom(holder, options, () => plan, draw));
     const levels = explorer.levels(scene);
     if (levels.length > 1) {
       const choice = element("select", { "aria-label": "Storey", onchange: () => {
@@ -119,7 +127,7 @@
 
   /* Every line of the plan with its meaning: leaves by number, then the marks; agents have theirs beside their names. */
   function legend(episode) {
-    const ways = episode.leaves.map((leaf) => (leaf.leaf === episode.gold ? ["gold", `★ leaf ${leaf.leaf}, gold`] : [`leaf-${leaf.leaf % 4}`, `leaf ${leaf.leaf}`]));
+    const ways = episode.leaves.map((leaf) => [kindOf(episode, leaf), leaf.leaf === episode.gold ? `★ leaf ${tag(leaf)}, gold` : `leaf ${tag(leaf)}`]);
     if (episode.looking) ways.push(["looking", `looking path to it, ${number(episode.looking.length, 1)} m`]);
     const stops = episode.leaves.some((leaf) => leaf.stops.length) ? [element("li", {}, element("span", { class: "key stop" }, "a"), element("span", { class: "key stop" }, "b"), "stops before the goal, in their order")] : [];
     const entries = [["start", "start and heading"], ["witness", "witness"], ["rival", "rival or elsewhere"], ["anchor", "anchor"]];
@@ -135,9 +143,9 @@
     const seen = episode.observability === "O0" && episode.in_view ? "O0f" : episode.observability;
     return element("dl", { class: "facts-list" },
       fact("scene", link(`${episode.source}/${episode.scene}`, `scene/${encodeURIComponent(`${episode.source}/${episode.scene}`)}`)),
-      fact("split", episode.split), fact("category", episode.category),
-      fact("composition", AXES[episode.composition] || episode.composition),
-      fact("observability", `${AXES[seen] || "unknown"}${episode.approximate ? " (by boxes)" : ""}`),
+      fact("split", episode.split), fact("category", meaning(episode.category)),
+      fact("composition", meaning(episode.composition)),
+      fact("observability", `${meaning(seen)}${episode.approximate ? " (by boxes)" : ""}`),
       fact("moves on the gold leaf", String(episode.moves)), fact("words", String(episode.words)),
       fact("straight to the goal", `${number(episode.geodesic_distance)} m`), fact("by all stops", `${number(episode.route_length)} m`),
       fact("success distance", `${number(episode.success_distance, 1)} m`), fact("step budget", `${episode.max_steps} steps`),
@@ -157,7 +165,7 @@
     const rows = episode.leaves.map((leaf) => [
       `${leaf.leaf}${leaf.leaf === episode.gold ? " ★ gold" : ""}`, explorer.thing(scene, leaf.object), leaf.stops.map((stop) => explorer.thing(scene, stop.object)).join(", ") || "–",
       number(leaf.geodesic_distance), number(leaf.route_length)]);
-    return explorer.table("Leaves", ["leaf", "goal", "stops before it", "#direct, m", "#by its stops, m"], rows, "leaves");
+    return element("div", { class: "stacked" }, explorer.table("Leaves", ["leaf", "goal", "stops before it", "#direct, m", "#by its stops, m"], rows, "leaves"));
   }
 
   function outcomeText(row, agent) {
@@ -172,7 +180,7 @@
     const rows = explorer.index.agents.filter((agent) => agent.outcome[row]).map((agent) => [
       agent.name, outcomeText(row, agent.name), ...explorer.index.metrics.map(([key]) => number(agent.scores[key]?.[row]))]);
     const headings = explorer.index.metrics.map(([, heading, kind]) => `#${heading}${kind === "metres" ? ", m" : ""}`);
-    return rows.length ? explorer.table("Agents on this episode", ["agent", "outcome", ...headings], rows, "agents-here") : null;
+    return rows.length ? element("div", { class: "stacked" }, explorer.table("Agents on this episode", ["agent", "outcome", ...headings], rows, "agents-here")) : null;
   }
 
   function frames(episode) {
@@ -185,8 +193,8 @@
 
   /* Return one episode as a node, whole or small (for groups side by side), and `shown`, to be called when it is in
      the page. */
-  explorer.episodePanel = async (row, small, kept = () => {}) => {
-    const episode = await explorer.loadEpisode(row);
+  explorer.episodePanel = async (row, small, kept = () => {}, tagged = (episode) => episode) => {
+    const episode = tagged(await explorer.loadEpisode(row));
     const [scene, walks] = await Promise.all([explorer.load(`scene-${explorer.index.columns.scene[row]}`), explorer.loadWalks(row)]);
     const drawn = drawing(episode);
     const details = element("div", { class: "details" }, element("p", { class: "note" }, "Point at a condition, or choose it, to see what decides it."));
@@ -202,14 +210,13 @@
       }
       if (now?.condition !== undefined) details.replaceChildren(explorer.facts(episode, now.condition, scene));
     }
-    const playback = !small && Object.keys(walks).length ? new explorer.Playback(walks, (agent) => outcomeText(row, agent)) : null;
+    const decided = Object.entries(episode.views || {}).map(([k, view]) => [explorer.letter(Number(k)), view.at]);
+    const playback = !small && Object.keys(walks).length ? new explorer.Playback(walks, (agent) => outcomeText(row, agent), decided) : null;
     const panel = planPanel(scene, episode, drawn, playback && ((plan) => playback.attach(plan)));
     root.append(
-      element("div", { class: "left" }, panel.node, playback && playback.node),
+      element("div", { class: "left" }, panel.node, playback && playback.node, small ? null : [agentTable(row), leafTable(episode, scene), frames(episode)]),
       element("div", { class: "right" }, explorer.instructionText(episode, choose), explorer.tree(episode, choose), details,
-        small ? null : leafTable(episode, scene), agentTable(row), small ? null : axes(episode)));
-    if (!small) root.append(frames(episode) || "");
-    root.classList.toggle("seen", !small && episode.frames.length > 0);
+        small ? agentTable(row) : axes(episode)));
     return { node: root, episode, shown: panel.draw, choose };
   };
 
@@ -246,18 +253,50 @@
     return `Episode ${panel.episode.id}`;
   };
 
+  /* What makes two goals the same: the object, and the stops before it. */
+  const goalKey = (leaf) => [...leaf.stops.map((stop) => stop.object), leaf.object].join("\n");
+  const goalName = (episode, leaf) => explorer.leafName(episode.program.leaves[leaf.leaf]);
+
+  /* Return an episode whose leaves have the numbers of the same goals in the first episode. */
+  function tagged(first) {
+    const known = first.leaves.map(goalKey);
+    return (episode) => ({ ...episode, leaves: episode.leaves.map((leaf) => {
+      const at = known.indexOf(goalKey(leaf));
+      if (at < 0) known.push(goalKey(leaf));
+      return { ...leaf, tag: at < 0 ? known.length - 1 : first.leaves[at]?.leaf ?? at };
+    }) });
+  }
+
+  /* Return in words what differs between an episode of a group and the first one. */
+  function changes(first, own) {
+    const said = [];
+    own.program.conditions.forEach((one, k) => {
+      const was = first.program.conditions[k];
+      const [now, before] = [one, was].map((condition) => condition && explorer.conditionName(condition));
+      if (now !== before) said.push(`${explorer.letter(k)} asks for “${now}” (${one.truth}), not “${before}” (${was?.truth})`);
+      else if (one.truth !== was.truth) said.push(`${explorer.letter(k)} is ${one.truth}, not ${was.truth}`);
+    });
+    const moved = own.leaves.filter((leaf) => tag(leaf) !== leaf.leaf);
+    if (moved.length) said.push(`${moved.map((leaf) => goalName(own, leaf)).join(" and ")} have changed places in the text`);
+    const [gold, before] = [own, first].map((episode) => goalName(episode, episode.leaves.find((leaf) => leaf.leaf === episode.gold)));
+    said.push(gold === before ? `the gold goal is still ${gold}` : `so the gold goal is ${gold}, not ${before}`);
+    return `${said.join("; ")}.`;
+  }
+
   /* The view of a counterfactual group: its episodes side by side. */
   explorer.views.group = async (main, path) => {
     const rows = explorer.filter({ group: path[0] });
     if (!rows.length) throw new Error(`there is no group ${path[0]}`);
-    const panels = await Promise.all([...rows].map((row) => explorer.episodePanel(row, true)));
+    const first = await explorer.loadEpisode(rows[0]);
+    const panels = await Promise.all([...rows].map((row) => explorer.episodePanel(row, true, undefined, tagged(first))));
     const other = (group, id, label) => group >= 0 && group < explorer.index.groups && link(label, `group/${group}`, {}, { id });
     const at = Number(path[0]);
     main.replaceChildren(element("div", { class: "row heading" }, element("h1", {}, "Counterfactual group"), link("◀ Back to the list", "browse", { group: "any" }, { id: "back" }),
       other(at - 1, "previous", "← Previous"), element("span", {}, `${at + 1} of ${explorer.index.groups}`), other(at + 1, "next", "Next →")),
-      element("p", {}, "One start; the truth of a condition is flipped, or two leaves are exchanged."),
-      element("div", { class: "side-by-side" }, panels.map((panel) => element("section", { "aria-label": `Episode ${panel.episode.id}` },
-        element("h2", {}, link(`Episode ${panel.episode.id}`, `episode/${panel.episode.id}`, { group: path[0] })), panel.node))));
+      element("p", {}, "One start; a condition has the other truth, or two leaves are exchanged. A goal has the same number and colour in all plans; the star is the gold one."),
+      element("div", { class: "side-by-side" }, panels.map((panel, k) => element("section", { "aria-label": `Episode ${panel.episode.id}` },
+        element("h2", {}, link(`Episode ${panel.episode.id}`, `episode/${panel.episode.id}`, { group: path[0] })),
+        element("p", { class: "changed" }, k ? `Changed: ${changes(first, panel.episode)}` : "The others are compared with this one."), panel.node))));
     for (const panel of panels) panel.shown();
     return "Counterfactual group";
   };

@@ -5,6 +5,7 @@
   const CHOICES = ["split", "source", "category", "composition", "observability", "gold_label"];
   const RANGES = ["depth", "chain", "moves", "words", "route_length", "geodesic_distance"];
   const LISTS = ["label", "predicate"];
+  const NOT_SUCCESS = "not success";
   let index = null;
   let texts = null;
 
@@ -131,9 +132,12 @@
     if (asked.group === "any") found.push((row) => columns.group[row] >= 0);
     else if (asked.group) found.push((row) => columns.group[row] === Number(asked.group));
     for (const agent of index.agents) {
-      const wanted = index.outcomes.indexOf(asked[`agent:${agent.name}`] || "");
-      if (asked[`agent:${agent.name}`]) found.push((row) => agent.outcome[row] === wanted);
+      const value = asked[`agent:${agent.name}`];
+      const wanted = index.outcomes.indexOf(value);
+      if (value) found.push(value === NOT_SUCCESS ? (row) => agent.outcome[row] > index.outcomes.indexOf("success") : (row) => agent.outcome[row] === wanted);
     }
+    if (asked.differ) found.push((row) => new Set(index.agents.map((agent) => agent.outcome[row]).filter(Boolean)).size > 1);
+    for (const name of ["untrue", "pictures"]) if (asked[name]) found.push((row) => columns[name][row] > 0 === (asked[name] === "some"));
     return found;
   }
 
@@ -158,5 +162,5 @@
     return found.slice(0, count);
   }
 
-  explorer.filters = { CHOICES, RANGES, LISTS };
+  explorer.filters = { CHOICES, RANGES, LISTS, NOT_SUCCESS };
 }

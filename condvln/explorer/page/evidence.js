@@ -99,6 +99,8 @@
     if (evidence) lines.push(element("p", { class: "seen" },
       `Evidence: ${LEVELS[evidence.observability] || evidence.observability}${evidence.in_view ? ", in the first view" : ""}.`));
     else lines.push(element("p", { class: "seen" }, "It is not asked on the gold route."));
+    const pictures = episode.frames.filter((one) => one.caption.endsWith(`where ${explorer.letter(number_)} is decided`));
+    if (pictures.length) lines.push(element("div", { class: "frames" }, pictures.map((one) => element("figure", {}, element("img", { src: one.file, alt: one.caption }), element("figcaption", {}, one.caption)))));
     const where = evidence && decidedAt(episode.views?.[number_]);
     if (where) lines.push(element("p", { class: "first-seen" }, where));
     if (facts?.things.length) {

@@ -33,7 +33,8 @@
       if (start < at) continue;
       parts.push(episode.text.slice(at, start));
       const about = condition >= 0 ? { condition } : { leaf };
-      const kind = condition >= 0 ? "clause condition" : `clause leaf ${leaf === episode.gold ? "gold" : `leaf-${leaf % 4}`}`;
+      const own = episode.leaves.find((one) => one.leaf === leaf)?.tag;
+      const kind = condition >= 0 ? "clause condition" : `clause leaf ${own !== undefined ? `leaf-${own % 4}` : leaf === episode.gold ? "gold" : `leaf-${leaf % 4}`}`;
       parts.push(pickable({ class: kind, ...data(about) }, about, choose, episode.text.slice(start, end)));
       at = end;
     }
@@ -57,7 +58,7 @@
     function leafNode(leaf) {
       const gold = leaf === episode.gold;
       return pickable({ class: `leaf${gold ? " gold" : ""}`, "data-leaf": leaf }, { leaf }, choose,
-        element("b", {}, `${leaf} `), explorer.leafName(program.leaves[leaf]), gold ? " ★ gold" : "");
+        element("b", {}, `${episode.leaves.find((one) => one.leaf === leaf)?.tag ?? leaf} `), explorer.leafName(program.leaves[leaf]), gold ? " ★ gold" : "");
     }
 
     function branchNode(at) {

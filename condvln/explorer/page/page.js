@@ -18,6 +18,11 @@
     ["BSA, CSR", "the share of stops reached in order before the first one is missed; the share of walks that reach all and succeed; “-all”: over all episodes"],
     ["wrong branch, no commit", "the walk ends at another leaf; it ends at no leaf"],
     ["right leaf, failed", "the walk ends at the gold leaf's goal and still failed, for example without STOP"],
+    ["draws, candidates", "draws are programs that were tried; one that keeps all rules is a candidate, for which a start and paths are looked for"],
+    ["τ", "the success distance: so near to the goal a walk must end"],
+    ["beyond the balance", "an episode that was left out of the export, since with it the words alone would tell the answer"],
+    ["bias gate", "guessers that see no scene try to find the right leaf; the export passes if none beats chance by a test that counts how many were tried (Holm)"],
+    ["justified", "a success at which the agent had seen what decides the conditions, before it took its branch"],
     ["[low, high]", "95 % interval, scenes drawn with replacement; with one scene there is none"],
   ];
   const KEYS = [["→ or n", "next episode of the list"], ["← or p", "previous episode"], ["/", "search in texts"], ["Esc", "back to the list"],

@@ -39,8 +39,9 @@
     const zs = [];
     const add = (x, z) => { xs.push(x); zs.push(z); };
     for (const room of scene.rooms) for (const [x, z] of room.polygon || []) add(x, z);
-    for (const item of scene.objects) for (const part of item.shape) for (let k = 0; k < 8; k += 2) add(part[k], part[k + 1]);
-    for (const polygon of scene.floor) for (let k = 1; k < polygon.length; k += 2) add(polygon[k], polygon[k + 1]);
+    const outlined = xs.length > 0;  // what lies outside all rooms does not make them small
+    for (const item of scene.objects) if (!outlined) for (const part of item.shape) for (let k = 0; k < 8; k += 2) add(part[k], part[k + 1]);
+    for (const polygon of scene.floor) if (!outlined) for (let k = 1; k < polygon.length; k += 2) add(polygon[k], polygon[k + 1]);
     for (const [x, , z] of more) add(x, z);
     if (!xs.length) return [-1, -1, 1, 1];
     const least = (values) => values.reduce((a, b) => Math.min(a, b));
@@ -68,14 +69,19 @@
       const high = options.height || Math.max(300, Math.min(window.innerHeight * 0.72, 720));
       this.scale = Math.min((width - 2 * MARGIN) / Math.max(east - west, 0.5), (high - 2 * MARGIN) / Math.max(south - north, 0.5));
       const height = Math.max(160, (south - north) * this.scale + 2 * MARGIN + BELOW);
-      const shift = (width - (east - west) * this.scale) / 2;
-      this.x = (value) => (value - west) * this.scale + shift;
-      this.y = (value) => (value - north) * this.scale + MARGIN;
+      const { times = 1, at = [(west + east) / 2, (north + south) / 2] } = options.zoom || {};
+      const fitted = this.scale;
+      this.scale *= times;
+      const middle = times === 1 ? (south - north) * fitted / 2 + MARGIN : height / 2;
+      this.x = (value) => (value - at[0]) * this.scale + width / 2;
+      this.y = (value) => (value - at[1]) * this.scale + middle;
+      this.place = (x, y) => [(x - width / 2) / this.scale + at[0], (y - middle) / this.scale + at[1]];
       this.width = width;
       this.height = height;
       this.labels = new Labels(width, height);
       this.shapes.clear();
       this.labelOf.clear();
+      this.names = [];
       this.node = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, height, class: "plan", role: "group",
         "aria-label": options.title || "Plan from above, north up" });
       this.layers = {};
@@ -89,6 +95,7 @@
       this.drawObjects();
       if (options.over) options.over(this);
       this.labelThings();
+      for (const id of this.names) this.labelOf.get(id)?.classList.add("off");  // they are written as marked
       this.drawScale();
       this.container.replaceChildren(this.node);
     }
@@ -211,14 +218,15 @@
     /* Write the names of objects that are marked now, over everything else. */
     name(ids) {
       this.clear("named");
+      this.names = ids;
       for (const [id, label] of this.labelOf) label.classList.toggle("off", ids.includes(id));
       const labels = new Labels(this.width, this.height);
       for (const id of ids) {
         const item = this.scene.objects.find((one) => one.id === id);
         if (!item || !this.shapes.has(id)) continue;
-        const box = this.shapes.get(id).getBBox();
+        const across = Math.max(0, ...item.shape.map((p) => Math.max(Math.hypot(p[0] - p[2], p[1] - p[3]), Math.hypot(p[2] - p[4], p[3] - p[5])))) * this.scale;
         const at = [this.x(item.center[0]), this.y(item.center[2])];
-        if (Math.max(box.width, box.height) < SMALL) this.layers.named.append(svg("circle", { cx: at[0], cy: at[1], r: SMALL * 0.6, class: "ring" }));
+        if (across < SMALL) this.layers.named.append(svg("circle", { cx: at[0], cy: at[1], r: SMALL * 0.6, class: "ring" }));
         const around = [[0, -14], [0, 14], [0, -28], [0, 28], [46, 0], [-46, 0], [46, -16], [-46, 16]];
         const free = labels.place(...at, item.label, FONT, around);
         if (free) this.layers.named.append(svg("text", { x: free[0], y: free[1] + FONT * 0.35, class: "marked-label", "font-size": FONT }, item.label));
@@ -238,7 +246,7 @@
       const shape = kind.split(" ")[0];
       const node = svg("g", { class: `mark ${kind}` }, svg("title", {}, title || text), shapes[shape]());
       if (text && shape !== "dot") {
-        node.append(svg("text", { x, y: y + 3.5, "font-size": 10, "text-anchor": "middle" }, text));
+        node.append(svg("text", { x, y: y + (shape === "eye" ? 17 : 3.5), "font-size": 10, "text-anchor": "middle" }, text));
         this.labels.reserve(x, y, 9);
       }
       this.layers.marks.append(node);
@@ -246,11 +254,13 @@
     }
 
     /* Draw an agent at a position with a heading in degrees clockwise from north. */
-    arrow(layer, position, heading, kind, length = 18) {
+    arrow(layer, position, heading, kind, { length = 18, radius = 6, cone = 0 } = {}) {
       const [x, y] = [this.x(position[0]), this.y(position[2])];
       const turn = `rotate(${heading} ${x} ${y})`;
+      const wide = cone * Math.SQRT1_2;  // a view of 90 degrees
       const node = svg("g", { class: `arrow ${kind}`, transform: turn },
-        svg("circle", { cx: x, cy: y, r: 6 }),
+        cone ? svg("path", { class: "cone", d: `M${x} ${y}L${x - wide} ${y - wide}A${cone} ${cone} 0 0 1 ${x + wide} ${y - wide}Z` }) : null,
+        svg("circle", { cx: x, cy: y, r: radius }),
         svg("path", { d: `M${x} ${y}V${y - length}M${x - 5} ${y - length + 6}L${x} ${y - length}L${x + 5} ${y - length + 6}` }));
       this.layers[layer].append(node);
       this.labels.reserve(x, y, 10);
@@ -292,6 +302,37 @@
   }
 
   explorer.Plan = Plan;
+
+  /* Return buttons that zoom a plan in and out; a drag moves it, a double click zooms in there. `draw` draws it afresh with
+     its options, `plan` returns what is drawn now. */
+  explorer.zoom = (holder, options, plan, draw) => {
+    let from = null;
+    let moved = false;
+    function to(times, at) {
+      const { width, height } = plan();
+      options.zoom = times <= 1.01 ? null : { times: Math.min(times, 12), at: at || plan().place(width / 2, height / 2) };
+      holder.classList.toggle("zoomed", options.zoom !== null);
+      draw();
+    }
+    const now = () => options.zoom?.times || 1;
+    const inside = (event) => {
+      const box = holder.getBoundingClientRect();
+      return plan().place(event.clientX - box.left, event.clientY - box.top);
+    };
+    holder.addEventListener("dblclick", (event) => to(now() * 1.6, inside(event)));
+    holder.addEventListener("pointerdown", (event) => { from = options.zoom ? inside(event) : null; moved = false; });
+    holder.addEventListener("pointermove", (event) => {
+      if (!from || !event.buttons) return;
+      const here = inside(event);
+      const step = [from[0] - here[0], from[1] - here[1]];
+      if (!moved && Math.hypot(...step) * plan().scale < 4) return;
+      moved = true;
+      to(now(), [options.zoom.at[0] + step[0], options.zoom.at[1] + step[1]]);
+    });
+    holder.addEventListener("click", (event) => { if (moved) event.stopPropagation(); moved = false; }, true);
+    const button = (text, label, act) => explorer.element("button", { type: "button", "aria-label": label, title: label, onclick: act }, text);
+    return [button("+", "Zoom in", () => to(now() * 1.6)), button("−", "Zoom out", () => to(now() / 1.6)), button("Fit", "Show the whole plan", () => to(1))];
+  };
 
   /* Return the label and id of an object, or of the room of a lead; the id alone where only an export is known. */
   explorer.thing = (scene, id) => {

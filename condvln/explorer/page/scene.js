@@ -4,16 +4,64 @@
 {
   const { element, link, number, count } = explorer;
 
+  /* Return by scene the episodes on which an agent was scored, and those of them that it did not finish. */
+  function byScene(agent) {
+    const { index } = explorer;
+    const found = index.scenes.map(() => [0, 0]);
+    for (let row = 0; row < index.size; row += 1) {
+      if (!agent.outcome[row]) continue;
+      found[index.columns.scene[row]][0] += 1;
+      found[index.columns.scene[row]][1] += agent.outcome[row] > 1;
+    }
+    return found;
+  }
+
+  /* Return an agent's success rate in a scene, linked to the episodes that it failed. */
+  function rate(agent, [scored, failed], scene) {
+    if (!scored) return "–";
+    const text = `${number(100 * (1 - failed / scored), 0)} %`;
+    return failed ? link(text, "browse", { scene, [`agent:${agent.name}`]: explorer.filters.NOT_SUCCESS }, { title: `${failed} of ${scored} failed` }) : text;
+  }
+
   explorer.views.scenes = async (main) => {
     const { index } = explorer;
-    const rows = index.scenes.map((scene) => {
+    const known = index.scenes.some((scene) => scene.wanted !== undefined);
+    const results = index.agents.map(byScene);
+    const rows = index.scenes.map((scene, k) => {
       const name = `${scene.source}/${scene.id}`;
-      return [link(name, `scene/${encodeURIComponent(name)}`), count(scene.rooms), count(scene.objects),
-        scene.episodes ? link(count(scene.episodes), "browse", { scene: name }) : "0"];
+      const made = known ? [count(scene.wanted ?? 0), count(scene.placed ?? 0), (scene.reason || "–").replaceAll("_", " ")] : [];
+      return [link(name, `scene/${encodeURIComponent(name)}`), count(scene.rooms), count(scene.objects), ...made,
+        scene.episodes ? link(count(scene.episodes), "browse", { scene: name }) : "0", ...index.agents.map((agent, n) => rate(agent, results[n][k], name))];
     });
-    main.replaceChildren(element("h1", {}, "Scenes"), explorer.table("Scenes", ["scene", "#rooms", "#objects", "#episodes"], rows, "scenes"));
+    const heads = ["scene", "#rooms", "#objects", ...(known ? ["#wanted", "#placed", "main reason for less"] : []), "#episodes", ...index.agents.map((agent) => `#SR of ${agent.name}`)];
+    main.replaceChildren(element("h1", {}, "Scenes"),
+      element("p", { class: "note" }, "Choose a heading to sort. A scene's page says why it has fewer episodes than wanted; a success rate leads to the episodes that failed."),
+      element("div", { class: "stacked sorted" }, explorer.sortable(explorer.table("Scenes", heads, rows, "scenes"))));
     return "Scenes";
   };
+
+  const MOST = 3;
+
+  /* Return why a scene has fewer episodes than wanted: a row for each cell, the reasons with most rejections first. */
+  function yields(made, entry, name) {
+    if (!made) return "";
+    const rows = made.funnel.map(([cell, wanted, candidates, , placed]) => {
+      const own = made.rejections.filter((row) => row[0] === cell).sort((a, b) => (b[1] === "episodes") - (a[1] === "episodes") || b[3] - a[3]).slice(0, placed < wanted ? MOST : 0);
+      const asked = { scene: name, [cell === "counterfactual groups" ? "group" : "category"]: cell === "counterfactual groups" ? "any" : cell };
+      return [link(cell.replaceAll("_", " "), "browse", asked), count(wanted), count(candidates), count(placed),
+        own.length ? element("ul", { class: "plain" }, own.map(([, stage, reason, n, rule]) => element("li", {}, `${count(n)} ${stage === "episodes" ? "candidates" : "draws"}: ${rule || reason}`))) : "–"];
+    });
+    const short = made.funnel.filter((row) => row[4] < row[1]).length;
+    return element("section", { class: "stacked wide yields", id: "yield" }, element("h2", {}, "What it yields"),
+      element("p", {}, short ? `${count(entry.placed)} of ${count(entry.wanted)} wanted episodes were placed. What rejects most: ${(entry.reason || "no candidate could be drawn").replaceAll("_", " ")}.` : `All ${count(entry.wanted)} wanted episodes were placed.`),
+      explorer.table("Candidates and episodes by category, and what rejected most", ["category", "#wanted", "#candidates", "#placed", "rejected because"], rows, "yield"));
+  }
+
+  function agentsHere(at, name) {
+    const { agents } = explorer.index;
+    const scored = agents.map((agent) => [agent, byScene(agent)[at]]).filter(([, found]) => found[0]);
+    return scored.length ? element("p", { id: "agents-here" }, "Success here: ", scored.map(([agent, found], k) => [k ? ", " : "", `${agent.name} `, rate(agent, found, name)])) : "";
+  }
 
   function describe(item, scene, pick) {
     const room = scene.rooms[item.room];
@@ -123,11 +171,11 @@
       draw();
     } }, element("option", { value: "" }, "all storeys"), levels.map((level) => element("option", { value: level }, `storey ${level}`))) : null;
     main.replaceChildren(element("h1", {}, `Scene ${name}`),
-      element("p", {}, `${count(entry.rooms)} ${entry.rooms === 1 ? "room" : "rooms"}, ${count(entry.objects)} objects, `, link(`${count(entry.episodes)} episodes`, "browse", { scene: name })),
-      element("div", { class: "episode" }, element("div", { class: "left" }, holder, element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), storey),
+      element("p", {}, `${count(entry.rooms)} ${entry.rooms === 1 ? "room" : "rooms"}, ${count(entry.objects)} objects, `, link(`${count(entry.episodes)} episodes`, "browse", { scene: name })), agentsHere(at, name),
+      element("div", { class: "episode" }, element("div", { class: "left" }, holder, element("div", { class: "row switches" }, element("label", {}, navmesh, " navmesh"), explorer.zoom(holder, options, () => plan, draw), storey),
         element("ul", { class: "legend" }, [["chosen", "chosen"], ["witness", "near it"], ["anchor", "in or on it, or it is in or on that"], ["hidden", "hidden in something shut"], ["unseen-key", "not seeable enough for text"]].map(([kind, text]) =>
           element("li", {}, element("span", { class: `key ${kind}` }), text)))),
-      element("div", { class: "right" }, element("label", { for: "objects" }, "Objects by room"), list, details), relations));
+      element("div", { class: "right" }, element("label", { for: "objects" }, "Objects by room"), list, details), yields(scene.made, entry, name), relations));
     draw();
     new ResizeObserver(explorer.later(() => { if (holder.isConnected && Math.abs(holder.clientWidth - plan.width) > 2) draw(); }, 120)).observe(holder);
     const wanted = scene.objects.findIndex((item) => item.id === asked.object);

@@ -25,20 +25,34 @@
       const value = found.get(`${a}\u0001${b}`) || 0;
       return value ? link(count(value), "browse", { [rowName]: a, [columnName]: b }) : "0";
     };
-    const rows = [...names[rowName]].sort().map((a) => [
-      link(a, "browse", { [rowName]: a }), ...across.map((b) => cell(a, b)),
-      count(across.reduce((sum, b) => sum + (found.get(`${a}\u0001${b}`) || 0), 0))]);
-    return explorer.table(`${explorer.TITLES[rowName]} by ${explorer.TITLES[columnName].toLowerCase()}`,
-      [rowName, ...across.map((name) => `#${name}`), "#all"], rows, `${rowName}-${columnName}`);
+    const value = (a, b) => found.get(`${a}\u0001${b}`) || 0;
+    const all = (a) => across.reduce((sum, b) => sum + value(a, b), 0);
+    const down = [...names[rowName]].sort();
+    const rows = down.map((a) => [link(a, "browse", { [rowName]: a }), ...across.map((b) => cell(a, b)), count(all(a))]);
+    const title = `${explorer.TITLES[rowName]} by ${explorer.TITLES[columnName].toLowerCase()}`;
+    const most = Math.max(...found.values());
+    return element("section", {}, element("h3", {}, title),
+      multiples(down.map((a) => bars([explorer.code(a), `: ${count(all(a))}`], across.map((b) => ({ label: b, value: value(a, b), address: value(a, b) ? explorer.address("browse", { [rowName]: a, [columnName]: b }) : null })), `${rowName}-${a}`, most))),
+      numbers(explorer.table(title, [rowName, ...across.map((name) => `#${name}`), "#all"], rows, `${rowName}-${columnName}`)));
   }
 
-  /* Return a chart of horizontal bars; each has a label, a number and a link. */
-  function bars(title, entries, name) {
-    const most = Math.max(1, ...entries.map((one) => one.value));
+  const multiples = (charts) => element("div", { class: "columns multiples" }, charts);
+  const numbers = (table) => element("details", {}, element("summary", {}, "The numbers as a table"), table);
+  const words = (name) => name.replaceAll("_", " ");
+
+  /* Return a chart of horizontal bars; each has a label, a number and a link. `most` is the length of all charts that are
+     compared. An entry `of` a whole is a part of that. */
+  function bars(title, entries, name, most = Math.max(1, ...entries.map((one) => one.of ?? one.value))) {
     return element("section", { class: "bars", "data-bars": name }, element("h3", {}, title), element("ul", {},
-      entries.map((one) => element("li", {}, one.address ? element("a", { href: one.address }, one.label) : element("span", {}, one.label),
-        element("meter", { min: 0, max: most, value: one.value, "aria-label": `${one.label}: ${one.value}` }),
-        element("span", { class: "value" }, count(one.value))))));
+      entries.map((one) => element("li", { title: one.title ?? (explorer.meaning(one.label) || null) }, one.address ? element("a", { href: one.address }, words(one.label)) : element("span", {}, words(one.label)),
+        element("meter", { min: 0, max: one.of ?? most, value: one.value, "aria-label": `${one.label}: ${one.value}` }),
+        element("span", { class: "value" }, count(one.value), one.of === undefined ? "" : ` of ${count(one.of)}`)))));
+  }
+
+  /* Return a chart for each value of the first column of some rows. */
+  function bySource(rows, name, entry, title = (key) => key) {
+    const found = Map.groupBy ? Map.groupBy(rows, title) : rows.reduce((all, row) => all.set(title(row), [...(all.get(title(row)) || []), row]), new Map());
+    return multiples([...found].map(([key, own]) => bars(key, own.map(entry), `${name}-${key}`)));
   }
 
   function histogram(name) {
@@ -69,6 +83,13 @@
   }
 
   function funnel(rows) {
+    const asked = (cell) => (cell === "counterfactual groups" ? { group: "any" } : { category: cell });
+    return element("div", {}, element("p", { class: "note" }, "Episodes that were placed, of those wanted."),
+      bySource(rows, "funnel", ([source, cell, wanted, , , placed]) => ({ label: cell, value: placed, of: wanted, address: explorer.address("browse", { source, ...asked(cell) }) }), (row) => row[0]),
+      numbers(funnelTable(rows)));
+  }
+
+  function funnelTable(rows) {
     return explorer.table("Funnel: from candidates to episodes", ["source", "cell", "#wanted", "#candidates", "#rejected", "#placed"],
       rows.map((row) => [link(row[0], "browse", { source: row[0] }), row[1], ...row.slice(2).map(count)]), "funnel");
   }
@@ -82,6 +103,14 @@
       row.examples.length ? element("details", {}, element("summary", {}, `${row.examples.length} ${row.examples.length === 1 ? "example" : "examples"}`),
         element("ul", { class: "plain" }, row.examples.map((one) => element("li", {},
           scene(row.source, one.scene, { mark: one.objects.join("\n") }), one.cell ? ` ${one.cell}: ` : ": ", element("bdi", {}, one.example))))) : "–"]);
+    const place = (row) => (row.places.length ? explorer.address(`scene/${encodeURIComponent(`${row.source}/${row.places[0][0]}`)}`) : null);
+    return element("div", {}, element("p", { class: "note" }, "What rejects most, each bar a link to the scene where it rejects most. Draws are programs that were tried; candidates are programs that could not be placed."),
+      bySource(rows.filter((row, k) => rows.slice(0, k).filter((other) => other.source === row.source && other.stage === row.stage).length < 6), "rejections",
+        (row) => ({ label: row.reason, value: row.count, title: row.rule || null, address: place(row) }), (row) => `${row.source}, ${row.stage === "programs" ? "draws" : "candidates"}`),
+      numbers(rejectionTable(named)));
+  }
+
+  function rejectionTable(named) {
     return explorer.table("Why candidates were rejected", ["source", "stage", "reason", "#count", "rule", "most in", "examples"], named, "rejections");
   }
 
@@ -119,8 +148,10 @@
         crossed("composition", "category"), crossed("observability", "category")),
       section("Lengths", element("div", { class: "columns" }, histogram("route_length"), histogram("words"))),
       section("Labels and predicates", element("div", { class: "columns" }, goldLabels(), listed("label"), listed("predicate"))),
-      found.relations.length ? section("Relations of the scenes", explorer.table("Emitted edges, and those that text may use", ["source", "predicate", "#emitted", "#fit for text"],
-        found.relations.map((row) => [row[0], row[1], count(row[2]), count(row[3])]), "relations")) : "",
+      found.relations.length ? section("Relations of the scenes", element("p", { class: "note" }, "Relations that text may state, of all that hold. Each bar is a link to the episodes that ask for it."),
+        bySource(found.relations, "relations", ([source, predicate, emitted, fit]) => ({ label: predicate, value: fit, of: emitted, address: explorer.address("browse", { source, predicate }) }), (row) => row[0]),
+        numbers(explorer.table("Emitted edges, and those that text may use", ["source", "predicate", "#emitted", "#fit for text"],
+        found.relations.map((row) => [row[0], row[1], count(row[2]), count(row[3])]), "relations"))) : "",
       found.funnel.length ? section("Funnel", funnel(found.funnel)) : "",
       found.rejections.length ? section("Rejections", rejections(found.rejections)) : "",
       Object.keys(found.left_out).length ? section("Left out of the export", explorer.table("Why episodes were left out", ["reason", "#episodes"],

@@ -6,19 +6,21 @@
   const STEP = 60;  // milliseconds between two poses
   const CHART = { width: 320, height: 110, left: 30, bottom: 18 };
 
-  /* Controls for the walks of one episode. `outcome(agent)` says what became of it. */
+  /* Controls for the walks of one episode. `outcome(agent)` says what became of it; `decided` has the letters of
+     conditions and the places at which the looking path decides them. At first the whole walks are shown. */
   class Playback {
-    constructor(walks, outcome) {
+    constructor(walks, outcome, decided = []) {
       this.agents = Object.keys(walks);
-      Object.assign(this, { walks, outcome, step: 0, timer: 0 });
+      Object.assign(this, { walks, outcome, decided, timer: 0 });
       this.shown = new Set(this.agents.slice(0, 2));
       this.length = Math.max(...this.agents.map((agent) => walks[agent].path.length));
+      this.step = this.length - 1;
       this.build();
     }
 
     build() {
       this.play = element("button", { type: "button", class: "play", onclick: () => this.toggle() }, "▶ Play");
-      this.slider = element("input", { type: "range", min: 0, max: this.length - 1, value: 0, "aria-label": "Step of the walk",
+      this.slider = element("input", { type: "range", min: 0, max: this.length - 1, value: this.length - 1, "aria-label": "Step of the walk",
         oninput: () => this.go(Number(this.slider.value)) });
       this.readout = element("div", { class: "readout" });
       const boxes = this.agents.map((agent, k) => element("label", { class: "agent" },
@@ -30,7 +32,16 @@
       this.chart = element("div", { class: "chart" });
       this.node = element("section", { class: "playback", "aria-label": "Agents' walks" },
         element("h2", {}, "Agents' walks"), element("div", { class: "row" }, boxes),
-        element("div", { class: "row" }, this.play, this.slider), this.readout, this.chart);
+        element("div", { class: "row" }, this.play, this.slider),
+        this.decided.length ? element("div", { class: "row" }, "Nearest to where the looking path decides ", this.decided.map(([letter, at]) =>
+          element("button", { type: "button", class: "decision", onclick: () => { this.stop(); this.go(this.nearest(at)); } }, letter))) : "", this.readout, this.chart);
+    }
+
+    /* Return the step at which the first shown agent is nearest to a place. */
+    nearest(at) {
+      const agent = this.agents.find((one) => this.shown.has(one)) || this.agents[0];
+      const far = this.walks[agent].path.map((place) => Math.hypot(place[0] - at[0], place[2] - at[2]));
+      return far.indexOf(Math.min(...far));
     }
 
     /* Draw on this plan from now on. */
@@ -69,18 +80,15 @@
         if (!this.shown.has(agent)) continue;
         const walk = this.walks[agent];
         const at = Math.min(this.step, walk.path.length - 1);
-        this.plan.way("walk", walk.path.slice(at), `walk ahead agent-${k % 4}`);
-        this.plan.way("walk", walk.path.slice(0, at + 1), `walk agent-${k % 4}`);
-        this.plan.beads("walk", walk.path, `agent-${k % 4}`, explorer.SHAPES[k % 4]);
-        this.plan.arrow("walk", walk.path[at], heading(walk, at), `agent-${k % 4}`, 12);
-        const done = at === walk.path.length - 1;
-        const end = number(walk.distance[walk.path.length - 1]);
-        const outcome = done ? this.outcome(agent) : `ends with: ${this.outcome(agent)}, ${end} m from the gold goal`;
-        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), outcome]);
+        const until = walk.path.slice(0, at + 1);
+        this.plan.way("walk", until, `walk agent-${k % 4}`);
+        this.plan.beads("walk", until, `agent-${k % 4}`, explorer.SHAPES[k % 4]);
+        this.plan.arrow("walk", walk.path[at], heading(walk, at), `marker agent-${k % 4}`, { length: 20, radius: 9, cone: 46 });
+        rows.push([agent, `${at} of ${walk.path.length - 1}`, number(walk.distance[at]), at === walk.path.length - 1 ? `${this.outcome(agent)}${walk.stopped ? "" : ", no STOP"}` : "under way"]);
       }
       const geodesic = this.agents.every((agent) => this.walks[agent].geodesic);
       const distance = geodesic ? "#metres to the gold goal at this step" : "#metres to the gold goal at this step (straight)";
-      this.readout.replaceChildren(explorer.table("Where the agents are", ["agent", "step", distance, "outcome"], rows, "walks"));
+      this.readout.replaceChildren(element("div", { class: "stacked" }, explorer.table("Where the agents are", ["agent", "step", distance, "outcome"], rows, "walks")));
       this.drawChart();
     }
 

@@ -17,12 +17,16 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from condvln.export.contents import CERTIFICATES, INDEX, ORIGIN
+from condvln.export.tables import SPLITS_TABLE
 from condvln.export.validation.episodes import Document, PathfinderOf, check_document
 from condvln.export.validation.findings import Finding, LintReport
 from condvln.export.validation.paths import check_r2r, check_truths
 from condvln.formats.json_entries import read_unpacked
+from condvln.formats.parquet_rows import refuse_parquet_bombs
 from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.graph_pathfinder import GraphPathfinder
 from condvln.navigation.pathfinder import Pathfinder
@@ -106,6 +110,8 @@ def validate(path: Path, options: Options | None = None) -> list[Finding]:
             findings += _check_truth_file(file, path, documents, options)
     for splits in variants.values():
         findings += _check_leaks(splits)
+    for table in sorted(path.rglob(SPLITS_TABLE)):
+        findings += _check_splits(table, _shown(table, path))
     return sorted(findings, key=lambda finding: finding.file)
 
 
@@ -121,6 +127,23 @@ def _check_file(report: LintReport, file: Path, options: Options) -> Document | 
     if content is not None:
         report.add("", "unknown-shape", "neither episodes, nor ground truth, nor R2R items")
     return None
+
+
+def _check_splits(file: Path, shown: str) -> Iterator[Finding]:
+    """Yield a finding if an export's table of splits can't be read, or tells other splits than its manifests."""
+    paths = manifest_paths(file.parent)
+    try:
+        refuse_parquet_bombs(file)
+        rows = pq.read_table(file, columns=["episode_id", "split"], partitioning=None).to_pylist()
+        known = {(line.ids()[0], path.stem) for path in paths for line in manifest_lines(path)}
+    except (pa.ArrowException, ValueError, OSError, InputError) as error:
+        yield Finding(shown, "", "unreadable", str(error).splitlines()[0])
+        return
+    differ = {(row["episode_id"], row["split"]) for row in rows} ^ known
+    if differ:
+        name, split = min(differ, key=str)
+        message = f"only the table or only the manifest has it in {split}; so {len(differ) - 1} others"
+        yield Finding(shown, f"episode {name}", "splits-differ", message, str(name))
 
 
 def _without_shards(report: LintReport, file: Path) -> Iterator[Finding]:

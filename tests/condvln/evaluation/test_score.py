@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from condvln.evaluation.agents import walk_to_leaf
+from condvln.evaluation.evaluate import evaluate
 from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.measures import DistanceMode
 from condvln.evaluation.predictions import Prediction
@@ -238,6 +239,15 @@ def test_a_lead_is_reached_anywhere_in_its_room() -> None:
     assert scored(through, leaves=upstairs).bsa_all == 0, "a room on another storey"
     late = [{**leaves[0], "subgoals": [[9, 0, 0], [6, 0, 3]], "outlines": [None, room]}, TWO[1]]
     assert scored(through, leaves=late).bsa_all == 0.5, "in order"
+
+
+def test_leads_without_an_outline_are_said_to_be_points() -> None:
+    room = [[4, -2], [8, -2], [8, 4], [4, 4]]
+    own = {"goals": [[9, 0, 0]], "subgoals": [[6, 0, 3]]}
+    for leaf, said in ((own, 1), ({**own, "outlines": [room]}, 0)):
+        task = task_with([leaf, TWO[1]])
+        notes = evaluate([replace(task, axes={**task.axes, "leads": 1})], [], lambda task: OpenPlain()).notes
+        assert ["does not outline" in note for note in notes] == [True] * said
 
 
 def test_the_authors_forks_disagree_on_the_order_of_subgoals() -> None:

@@ -6,8 +6,10 @@ import copy
 import gzip
 import json
 import os
+import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from condvln.export.validation import Options, validate
@@ -39,6 +41,18 @@ def test_our_export_passes_in_every_variant(exported: Path) -> None:
     assert [f.line() for f in validate(exported)] == []
     for variant in ("vlnce", "ansr", "oracle", "rxr"):
         assert validate(exported / variant) == []
+
+
+def test_a_table_of_splits_that_is_not_the_manifests_is_named(exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path / "export")
+    table = tmp_path / "export" / "splits.parquet"
+    whole = pq.read_table(table)
+    pq.write_table(whole.slice(1), table)
+    (found,) = validate(tmp_path / "export")
+    assert (found.code, found.file) == ("splits-differ", "splits.parquet")
+    assert found.place == f"episode {whole['episode_id'][0]}"
+    table.write_bytes(b"PAR1")
+    assert [found.code for found in validate(tmp_path / "export")] == ["unreadable"]
 
 
 # -- files as such -----------------------------------------------------------------------------------------------------
