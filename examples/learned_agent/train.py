@@ -45,7 +45,8 @@ def main() -> None:
     parser.add_argument("walks", type=Path, nargs="+", help="files that record.py wrote")
     parser.add_argument("--held-out", type=Path, nargs="*", default=(), help="walks of other houses")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--epochs", type=int, default=10)
+    parser.add_argument("--epochs", type=int, default=12)
+    parser.add_argument("--until", type=int, help="epoch after which to stop for now; a later call goes on")
     parser.add_argument("--most", type=int, help="number of walks used")
     parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--seed", type=int, default=0)
@@ -66,6 +67,8 @@ def main() -> None:
     log: list[dict[str, float]] = []
     if checkpoint.is_file():
         kept = torch.load(checkpoint, weights_only=True)
+        if kept["schedule"]["total_steps"] != steps:
+            raise SystemExit(f"{checkpoint} is of a training of another length: name its --epochs and walks")
         policy.load_state_dict(kept["policy"])
         optimizer.load_state_dict(kept["optimizer"])
         schedule.load_state_dict(kept["schedule"])
@@ -73,7 +76,7 @@ def main() -> None:
         log = kept["log"]
         print(f"goes on after epoch {len(log)}")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for epoch in range(len(log), arguments.epochs):
+    for epoch in range(len(log), min(arguments.epochs, arguments.until or arguments.epochs)):
         policy.train()
         began, sums = time.time(), torch.zeros(2)
         parts = batches(walks, 1000 * arguments.seed + epoch)
