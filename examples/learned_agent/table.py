@@ -44,7 +44,10 @@ def rows_of(out: Path) -> list[dict]:
             name, _, seed = row["agent"].rpartition("-")
             kind, seed = (name, seed) if seed.isdigit() else (row["agent"], "")
             scene, group = f"{test}/{row['scene_id']}", groups[str(row["episode_id"])]
-            rows.append(row | {"kind": kind, "seed": seed, "test": test, "scene": scene, "group": group})
+            place = row["observability"][:2]  # O0f is a part of O0
+            rows.append(
+                row | {"kind": kind, "seed": seed, "test": test, "scene": scene, "group": group, "where": place}
+            )
     return rows
 
 
@@ -109,7 +112,7 @@ def main(out: Path, svg: Path) -> None:
     rows = rows_of(out)
     kinds = [*COLOURS, *sorted({row["kind"] for row in rows} - set(COLOURS))]
     table(rows, {"all": {}, "made houses": {"test": "made"}, "ProcTHOR": {"test": "real"}}, kinds)
-    table(rows, {name: {"observability": name} for name in ("O0f", "O0", "O1", "O2")}, kinds)
+    table(rows, {name: {"where": name} for name in ("O0", "O1", "O2")}, kinds)
     table(rows, {name: {"category": name} for name in ("simple", "nested", "chain")}, kinds)
     groups(rows, kinds)
     curves(out, svg)
