@@ -42,7 +42,7 @@ def rows_of(out: Path) -> list[dict]:
         for line in (out / f"scores/{test}.jsonl").read_text().splitlines():
             row = json.loads(line)
             name, _, seed = row["agent"].rpartition("-")
-            kind, seed = (name, seed) if seed.isdigit() else (row["agent"], "")
+            kind, seed = (f"{name} walks", seed) if seed.isdigit() else (row["agent"], "")
             scene, group = f"{test}/{row['scene_id']}", groups[str(row["episode_id"])]
             place = row["observability"][:2]  # O0f is a part of O0
             rows.append(
@@ -110,7 +110,8 @@ def curves(out: Path, svg: Path) -> None:
 def main(out: Path, svg: Path) -> None:
     """Print all tables and draw the curves."""
     rows = rows_of(out)
-    kinds = [*COLOURS, *sorted({row["kind"] for row in rows} - set(COLOURS))]
+    nets = [f"{name} walks" for name in COLOURS]  # condvln walk has an agent called looking
+    kinds = [*nets, *sorted({row["kind"] for row in rows} - {*nets})]
     table(rows, {"all": {}, "made houses": {"test": "made"}, "ProcTHOR": {"test": "real"}}, kinds)
     table(rows, {name: {"where": name} for name in ("O0", "O1", "O2")}, kinds)
     table(rows, {name: {"category": name} for name in ("simple", "nested", "chain")}, kinds)
