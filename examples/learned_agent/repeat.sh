@@ -38,6 +38,7 @@ train)
   done ;;
 score)
   for test in made real; do
+    mkdir -p $out/scores/$test
     export=$out/${test}_test/export data=$([ $test = made ] && echo $out/houses || echo "$2") files=()
     walk() { # NAME COMMAND…: the predictions of an agent
       files+=("$out/scores/$test/$1.json")
