@@ -17,7 +17,7 @@ REASONS = (
     r"no scenes of \w+ here: ",
     r"the published lists are not here to compare with",
     # Libraries of an environment of their own, in which make agents runs these tests.
-    r"(transformers|trl|openenv|inspect-ai) is absent: make agents installs it",
+    r"(transformers|trl|torch|openenv|inspect-ai) is absent: make agents installs it",
     # A browser, which is installed by make browser.
     r"make browser runs the tests of the page",
     # The machine.

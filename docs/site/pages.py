@@ -20,6 +20,7 @@ PAGES = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
     "deploy/README.md": "deploy.md",
+    "examples/learned_agent/README.md": "learned_agent.md",
 }
 """Page of each Markdown file outside ``docs/``."""
 
