@@ -54,8 +54,7 @@ $(VENV)-agents/.trl: requirements-trl.lock $(VENV)-agents/.ready
 agents: $(VENV)-agents/.ready $(VENV)-agents/.trl  ## tests of the tools for language agents, each driven by its own package
 	$(VENV)-agents/bin/python -m pip check
 	$(VENV)-agents/bin/python -c "import inspect_ai, openenv, transformers"
-	$(VENV)-agents/bin/python -m pytest -rs tests/condvln/evaluation/test_agent_packages.py \
-	  tests/condvln/evaluation/test_learned_agent.py
+	$(VENV)-agents/bin/python -m pytest -rs tests/condvln/evaluation/test_agent_packages.py tests/condvln/evaluation/test_learned_agent.py
 
 browser: $(VENV)/.ready  ## tests of the explorer's page in a real Chromium
 	tests/browser/install_chromium.sh
