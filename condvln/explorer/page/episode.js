@@ -17,6 +17,7 @@
     const leaves = new Map();
     let plan = null;
     let fixed = null;
+    let shown = null;  // what is pointed at or chosen, also before the plan is drawn
 
     function over(drawn) {
       plan = drawn;
@@ -42,7 +43,7 @@
           `${letter} is decided here: after ${view.frame} actions, ${number(view.walked, 1)} m along the looking path`).join("; "));
       }
       plan.arrow("marks", episode.start, episode.heading, "start");
-      mark(fixed);
+      mark(shown);
     }
 
     function mark(about) {
@@ -82,7 +83,8 @@
 
     function choose(about, keep) {
       if (keep) fixed = JSON.stringify(about) === JSON.stringify(fixed) ? null : about;
-      mark(about || fixed);
+      shown = about || fixed;
+      mark(shown);
       return fixed;
     }
 
