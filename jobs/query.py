@@ -150,6 +150,8 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
             columns, rows = result.columns, result.fetchall()
         except duckdb.Error as error:
             remedy = f"Tables: {', '.join(TABLES)}. Views: {', '.join(VIEWS)}. Named queries: --list. {_SPLITS_NEED}"
+            if "file system operations are disabled" in str(error):
+                remedy = "Query other files beside the tables in DuckDB's own Python: docs/cookbook.md shows how."
             raise UsageError(str(error).strip(), place="SQL", remedy=remedy) from None
     plain = [[_plain(value) for value in row] for row in rows]
     return Report({"columns": columns, "rows": plain}, _outdated(target, sql), _sections(columns, plain))

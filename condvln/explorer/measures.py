@@ -279,13 +279,14 @@ def decided(predicate: str, pairs: Sequence[Sequence[Criterion]], truth: bool) -
 
 def _closest_call(predicate: str, pair: Sequence[Criterion], truth: bool) -> tuple[float, int]:
     """Return the closeness and the index of the criterion that decides: the tightest one where all must hold, else the
-    clearest one.
+    clearest one. What must be so for either truth, such as that the two are near enough for a compass word, decides
+    nothing.
     """
     all_deny = not truth and predicate in DENIED_BY_ALL  # each by the same quantity, so that the differences compare
     asked = [
         (one.slack(truth) if all_deny else one.closeness(truth), k)
         for k, one in enumerate(pair)
-        if (one.true if truth else one.false) is not None
+        if (one.true if truth else one.false) is not None and one.true != one.false
     ]
     return min(asked) if truth or all_deny else max(asked)
 

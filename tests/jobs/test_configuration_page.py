@@ -80,8 +80,8 @@ UNUSED = {
     "instructions.style",
 }
 """Weights of predicates that these made scenes have no use for: nothing lies in an open container or under a table, and
-what hangs or stands on top is named by something nearer. ``test_sampling.py`` tries them alone. And the style, which gives
-values to keys without one, of which this configuration has none: ``test_configuration.py`` tries it."""
+what hangs or stands on top is named by something nearer. ``test_sampling.py`` tries them alone. And the style: it gives
+values to keys without one, of which this configuration has none. ``test_configuration.py`` tries it."""
 
 EXEMPT = {"store", "export", "ray", "keep"}
 """Where things lie and how work is spread: they change no row and no file."""

@@ -51,6 +51,19 @@ def test_a_false_near_says_by_how_much() -> None:
     assert [one["name"] for one in found["criteria"] if one["decides"]] == ["distance on the ground"]
 
 
+@pytest.mark.parametrize(("predicate", "truth"), [("south of", False), ("east of", True)])
+def test_what_either_truth_needs_decides_neither(predicate: str, truth: bool) -> None:
+    """The two are near enough for a compass word, by less than anything else; the direction decides all the same."""
+    table, sofa = thing("table", (2.4, 0, 0), (2.8, 0.5, 0.4)), thing("sofa", (-0.2, 0, -0.2), (0.2, 0.5, 0.2))
+    found = decided(predicate, measured(predicate, table, sofa), truth)
+    (name,) = (one["name"] for one in found["criteria"] if one["decides"])
+    assert found["unit"] == "°"
+    assert found["says"].startswith(f"{name} ")
+    assert (
+        found["says"].endswith(f"so it is {str(truth).lower()}, by {found['margin']:g}°") or "needs:" in found["says"]
+    )
+
+
 def test_what_lies_between_the_bounds_is_said_to_be_neither() -> None:
     lamp, bed = thing("lamp", (0, 0, 0), (0.2, 1, 0.2)), thing("bed", (1.2, 0, 0), (4, 0.5, 2))
     found = decided("near", measured("near", lamp, bed), False)
