@@ -157,7 +157,7 @@
 
   function certificate(episode) {
     const proof = episode.certificate;
-    if (!proof) return episode.split ? "none; condvln verify writes them" : "none: condvln verify proves what is exported, and this episode is in no split";
+    if (!proof) return episode.split !== "not exported" ? "none; condvln verify writes them" : "none: condvln verify proves what is exported, and this episode is in no split";
     if (proof.proven) return `proven, ${proof.facts} facts of ${proof.kinds} kinds agree`;
     const kinds = proof.disagreements.map((one) => one.fact || one.kind || "").filter(Boolean);
     return `not proven: ${proof.disagreements.length} disagreements ${kinds.join(", ")}`;
