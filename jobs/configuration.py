@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -81,8 +82,13 @@ def _resolve(config: Config, base: Path, path: Path, check_roots: bool) -> Confi
         if not root.exists() and export is not None:  # where --data said that it lies when the export was made
             from jobs.export_origin import data_of  # loads the pipeline
 
-            noted = dict(text.split("=", 1) for text in data_of(export, None))
-            root = Path(noted.get(source.family, root))
+            noted = {text for text in data_of(export, None) if text.startswith(f"{source.family}=")}
+            if len(noted) == 1:
+                missing, root = root, Path(noted.pop().partition("=")[2])
+                said = (
+                    f"{source.family}: {missing} does not exist; scenes are read in {root}, as when the export was made"
+                )
+                print(said, file=sys.stderr)
         if check_roots and not root.is_dir():
             raise ConfigError(
                 f"this is a file, not a folder: {root}" if root.exists() else f"no such folder: {root}",

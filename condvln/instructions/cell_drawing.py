@@ -228,7 +228,7 @@ class CellDrawing:
         # Goals that go with what is asked replace those that were drawn at the end, where nothing depends on them, so
         # that each statement is asked as often as without.
         sent = self._purposeful(drawn) if self._goal_draws.uniform() < self._wanted.purpose else drawn
-        better = self._program(sent)
+        better = program if sent is drawn else self._program(sent)
         if composition(better) != self._composition or (seen.keys is not None and sent.key in seen.sent_keys):
             sent, better = drawn, program
         if seen.keys is not None:
@@ -306,13 +306,13 @@ class CellDrawing:
                     continue
                 leaves = stops.draw_leaves(self.moves, goals, drawn.held, draws)
                 said = Said(stops.named(leaves), self._vocabulary)
-                rooms = self._names.said_rooms(drawn.rooms, said)
-                named, *left = self._name_stops(leaves, rooms, drawn.start_room, said, draws)
+                self._names.keep_rooms(drawn.rooms, said)
+                named, *left = self._name_stops(leaves, drawn.rooms, drawn.start_room, said, draws)
             except GivenUp:
                 continue
             if any(now < before for now, before in zip(left, drawn.left, strict=True)):
                 continue  # the statements use what was left
-            excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), rooms.values())
+            excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), drawn.rooms.values())
             if not any(excluded.union >> one.number & 1 for one in drawn.statements):
                 best, most = replace(drawn, named=named), granted
         return best

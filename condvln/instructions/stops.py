@@ -261,19 +261,19 @@ class StopNames:
         return found
 
     @staticmethod
-    def said_rooms(rooms: Mapping[str, RoomRef], said: Said) -> Mapping[str, RoomRef]:
-        """Return the rooms with the names that were drawn before, and add what they name to `said`.
+    def keep_rooms(rooms: Mapping[str, RoomRef], said: Said) -> None:
+        """Keep names of rooms that were drawn before, by room id, for a text with other stops: add what they name to
+        `said`.
 
         Raises
         ------
         GivenUp : a name relies on an object with the label of a stop
         """
-        if any(room.anchor_label is not None and said.means(room.anchor_label) for room in rooms.values()):
+        anchors = {room_id: room.anchor_label for room_id, room in rooms.items() if room.anchor_label is not None}
+        if any(said.means(label) for label in anchors.values()):
             raise GivenUp("circular")
-        for room_id, room in rooms.items():
-            if room.anchor_label is not None:
-                said.add(room_id, room.anchor_label)
-        return rooms
+        for room_id, label in anchors.items():
+            said.add(room_id, label)
 
     def draw_stop(
         self,

@@ -1,4 +1,4 @@
-"""The trained network as an agent of ``condvln walk``; see README.md. It is told what to load by two variables:
+"""The trained network as an agent of ``condvln walk``; see README.md. Two environment variables name what it loads:
 
 LEARNED_AGENT       the checkpoint that train.py wrote
 LEARNED_AGENT_EYES  EXPORT=DATASET: where the text sensor finds the scenes of the episodes (several: with a comma)

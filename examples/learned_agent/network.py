@@ -115,7 +115,7 @@ class Policy(nn.Module):
         here = read["here"][torch.arange(b)[:, None], frames["place"][..., 0]]
         last = frames["place"][..., 1]
         if self.training:
-            # An agent that is told its last action learns to repeat it: half of the time it is not told.
+            # A network that sees the last action learns to repeat it, so half of the frames hide it.
             last = torch.where(torch.rand(last.shape) < 0.5, torch.full_like(last, START), last)
         entered = torch.cat([picked, most, here, self.room(frames["place"][..., 0]), self.last(last), frames["own"]], 2)
         text = read["whole"][:, None, : thing.shape[-1]].expand(-1, t, -1)

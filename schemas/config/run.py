@@ -177,13 +177,17 @@ class Config(Section):
     @model_validator(mode="before")
     @classmethod
     def _of_a_style(cls, data: Any) -> Any:
-        asked = data.get("instructions") if isinstance(data, dict) else None
-        if not isinstance(asked, dict) or asked.get("style") != "paper":
+        """Give the style's values to the keys that are not given, in a document or in sections made in Python."""
+        if not isinstance(data, dict):
             return data
-        given = {name: data.get(name) or {} for name in PAPER}
-        if not all(isinstance(section, dict) for section in given.values()):
+        sections: dict[str, Any] = {}
+        for name in PAPER:
+            one = data.get(name) or {}
+            sections[name] = one.model_dump(include=one.model_fields_set) if isinstance(one, Section) else one
+        documents = all(isinstance(one, dict) for one in sections.values())
+        if not documents or sections["instructions"].get("style") != "paper":
             return data
-        return data | {name: {**PAPER[name], **section} for name, section in given.items()}
+        return data | {name: {**PAPER[name], **one} for name, one in sections.items()}
 
     @model_validator(mode="after")
     def _routes_are_long_enough(self) -> Config:

@@ -10,7 +10,7 @@ import yaml
 from jobs.benchmark import Benchmark
 from jobs.configuration import load_config
 from jobs.export_origin import remember_data
-from schemas.config import Config, RayConfig, SourceConfig
+from schemas.config import Config, InstructionsConfig, RayConfig, SamplingConfig, SourceConfig
 from schemas.errors import ConfigError
 
 MINIMAL = {"name": "toy", "store": "store", "sources": [{"family": "replicacad", "root": "data"}]}
@@ -55,6 +55,14 @@ def test_the_style_of_the_paper_is_other_defaults_and_what_is_given_stays(writte
     paper = load_config(written(instructions={"style": "paper"}, sampling={"compass_phrases": 3}), [], {})
     assert (paper.instructions.leads, paper.thresholds.sector_within, paper.sampling.purpose) == (0.0, 100.0, 0.0)
     assert (paper.sampling.moves, paper.sampling.compass_phrases) == ((0.4, 0.4, 0.2), 3)
+    made = Config(
+        name="made",
+        store="store",  # type: ignore[arg-type]
+        sources=(SourceConfig(family="ithor", root="data"),),  # type: ignore[arg-type]
+        instructions=InstructionsConfig(style="paper"),
+        sampling=SamplingConfig(compass_phrases=3),
+    )
+    assert (made.instructions.leads, made.sampling) == (0.0, paper.sampling), "sections made in Python are heard too"
     asked = load_config(written(), ["instructions.style=paper"], {})
     assert asked.sampling == paper.sampling.model_copy(update={"compass_phrases": 8})
 
@@ -64,11 +72,14 @@ def test_set_reaches_into_lists(written, tmp_path: Path) -> None:
     assert load_config(written(), ["sources.0.root=other"], {}).sources[0].root == tmp_path / "other"
 
 
-def test_a_folder_that_is_gone_is_where_data_said_when_the_export_was_made(written, tmp_path: Path) -> None:
+def test_a_folder_that_is_gone_is_where_data_said_when_the_export_was_made(
+    written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = written(export="out/export", sources=[{"family": "replicacad", "root": "nowhere"}])
     (tmp_path / "out").mkdir()
     remember_data(load_config(path, [f"replicacad={tmp_path / 'data'}"], {}))
     assert load_config(path, environment={}).sources[0].root == tmp_path / "data"
+    assert f"nowhere does not exist; scenes are read in {tmp_path / 'data'}" in capsys.readouterr().err
     (tmp_path / "data").rmdir()
     with pytest.raises(ConfigError, match="no such folder"):
         load_config(path, environment={})

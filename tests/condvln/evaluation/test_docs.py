@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from condvln.evaluation.agents import AGENTS
 from condvln.evaluation.goal_distances import (
     Nearness,
 )
-from condvln.evaluation.metrics import METRICS
+from condvln.evaluation.metrics import METRICS, Better, Kind, OfSuccess, Shown
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, score
 from tests.condvln.evaluation.conftest import OpenPlain, task_with
@@ -27,6 +28,16 @@ def text(repository: Path) -> str:
 def test_every_measure_is_defined(text: str) -> None:
     for item in fields(Score):
         assert f"`{item.name}`" in text, item.name
+
+
+def test_the_table_of_metrics_has_known_words_only() -> None:
+    """A misspelt one would leave a metric out of a table without a word."""
+    for metric in METRICS:
+        assert {*metric.shown} <= {*get_args(Shown)}, metric.key
+        assert metric.kind in get_args(Kind), metric.key
+        assert metric.better in get_args(Better), metric.key
+        assert metric.success in get_args(OfSuccess), metric.key
+    assert {table for metric in METRICS for table in metric.shown} == {*get_args(Shown)}, "no table is empty"
 
 
 def test_every_metric_is_a_score_and_every_name_of_it_is_its_own() -> None:
