@@ -5,7 +5,8 @@ favouring a label.
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict, deque
+from bisect import insort
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
@@ -17,6 +18,7 @@ from condvln.episodes.identity import colliding, content_hash, numeric_id
 from condvln.episodes.looking import LookingPath, LookingPaths
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected, Routes
+from condvln.instructions.programs import oddness
 from schemas.config import InstructionCell
 from schemas.config.constants import DRAWN_PER_PLACE, FEW_LABELS_SLACK, KEPT_AT_LEAST, MOVES_OFF
 from schemas.program import SHAPES, Category, Program
@@ -213,6 +215,11 @@ class _Try:
         return frozenset(member.program for member in self.members)
 
     @cached_property
+    def oddness(self) -> int:
+        """How little the parts of the first of them have to do with each other."""
+        return oddness(self.members[0].program)
+
+    @cached_property
     def has_leads(self) -> bool:
         """Whether they have leads."""
         return any(branch.lead is not None for branch in self.members[0].program.branches)
@@ -238,7 +245,7 @@ class _Try:
         return [Counter(member.labels) for member in self.members]
 
 
-_Waiting: TypeAlias = dict[tuple[tuple[int, int], ...], deque[_Try]]
+_Waiting: TypeAlias = dict[tuple[tuple[int, int], ...], list[_Try]]
 
 
 @lru_cache(maxsize=4096)
@@ -383,7 +390,7 @@ class _Filling:
                     if self._draw(cell):
                         nearest = min(alike, key=distances)
             while changes == self._changes and nearest in alike:  # until the caller places one
-                one = alike[nearest].popleft()
+                one = alike[nearest].pop(0)
                 if not alike[nearest]:
                     del alike[nearest]
                 yield one
@@ -412,9 +419,13 @@ class _Filling:
         return bool(found)
 
     def _wait(self, one: _Try) -> None:
-        """Let a candidate wait for its turn."""
+        """Let a candidate wait for its turn, behind those whose goals go as well with what is asked."""
         moves = one.moves if one.cell is not None and self._is_free(one.cell) else ()
-        self._untried[one.cell].setdefault(moves, deque()).append(one)
+        waiting = self._untried[one.cell].setdefault(moves, [])
+        if self._supply.purposeful:
+            insort(waiting, one, key=lambda other: other.oddness)
+        else:
+            waiting.append(one)
 
     def _is_free(self, cell: InstructionCell) -> bool:
         """Return whether leaves of a cell have different numbers of moves, whose shares are wanted."""

@@ -11,11 +11,11 @@ from typing import Final
 
 from condvln.instructions.condition_sampler import AskedStatement, ConditionSampler
 from condvln.instructions.degeneracy import GivenUp, outcomes
-from condvln.instructions.programs import composition, with_leads
+from condvln.instructions.programs import composition, oddness, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
 from condvln.labels import Vocabulary
-from condvln.labels.lists import goes_with
+from condvln.labels.lists import belongs_by, goes_with
 from condvln.seeding import Draws
 from schemas.episode import Composition
 from schemas.program import SHAPES, Category, Leaf, Program, RoomRef
@@ -25,8 +25,10 @@ __all__ = ["CellDrawing", "Seen", "WantedCell"]
 VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
 
-PURPOSE_TRIES: Final = 6
-"""Number of draws of stops that go with the statements of a program."""
+PURPOSE_TRIES: Final = 12
+"""Number of draws of stops that go with the statements of a program; in the second half, where something is if the
+condition holds counts no more than what goes with it.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,10 +229,11 @@ class CellDrawing:
             raise GivenUp("duplicate")
         # Goals that go with what is asked replace those that were drawn at the end, where nothing depends on them, so
         # that each statement is asked as often as without.
-        sent = self._purposeful(drawn) if self._goal_draws.uniform() < self._wanted.purpose else drawn
-        better = program if sent is drawn else self._program(sent)
-        if composition(better) != self._composition or (seen.keys is not None and sent.key in seen.sent_keys):
-            sent, better = drawn, program
+        sent, better = drawn, program
+        if self._goal_draws.uniform() < self._wanted.purpose:
+            sent, better = self._purposeful(drawn, program)
+            if seen.keys is not None and sent.key in seen.sent_keys:
+                sent, better = drawn, program
         if seen.keys is not None:
             if sent.key in seen.sent_keys:
                 raise GivenUp("duplicate")
@@ -291,19 +294,19 @@ class CellDrawing:
             raise GivenUp("no_condition")
         return _Drawn(rooms, start_room, held, named, (bearings, compass), statements)
 
-    def _purposeful(self, drawn: _Drawn) -> _Drawn:
+    def _purposeful(self, drawn: _Drawn, program: Program) -> tuple[_Drawn, Program]:
         """Return the same statements with other stops, if there are any of which more goals go with what decides about
         them. The choice depends on what is said alone, so that it does not tell the truth.
         """
-        stops, wishes = self._stops, self._wishes(drawn.statements)
+        stops, draws, best, least = self._stops, self._goal_draws, (drawn, program), oddness(program)
         weights = stops.goal_weights(self._seen.sent, self._wanted.label_cap)
-        best, most, draws = drawn, 0, self._goal_draws
-        for _ in range(PURPOSE_TRIES):
+        wishes = self._wishes(program)
+        for attempt in range(PURPOSE_TRIES):
+            if not least:
+                break
+            wished = wishes[2 * attempt >= PURPOSE_TRIES]
             try:
-                goals = stops.draw_goals(self._leaves, max(self.moves) - 1, drawn.held, weights, draws, wishes)
-                granted = sum(wish >> goal & 1 for wish, goal in zip(wishes, goals, strict=True))
-                if granted <= most:
-                    continue
+                goals = stops.draw_goals(self._leaves, max(self.moves) - 1, drawn.held, weights, draws, wished)
                 leaves = stops.draw_leaves(self.moves, goals, drawn.held, draws)
                 said = Said(stops.named(leaves), self._vocabulary)
                 self._names.keep_rooms(drawn.rooms, said)
@@ -313,27 +316,31 @@ class CellDrawing:
             if any(now < before for now, before in zip(left, drawn.left, strict=True)):
                 continue  # the statements use what was left
             excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), drawn.rooms.values())
-            if not any(excluded.union >> one.number & 1 for one in drawn.statements):
-                best, most = replace(drawn, named=named), granted
+            if any(excluded.union >> one.number & 1 for one in drawn.statements):
+                continue
+            sent = replace(drawn, named=named)
+            other = self._program(sent)
+            if oddness(other) < least and composition(other) == self._composition:
+                best, least = (sent, other), oddness(other)
         return best
 
-    def _wishes(self, statements: Sequence[AskedStatement]) -> list[int]:
-        """Return the targets that go with what decides about each leaf: where the lamp is on the desk, one is sent to
-        the desk, else to something else that goes with a lamp.
+    def _wishes(self, program: Program) -> tuple[list[int], list[int]]:
+        """Return the targets that are wished as the goal of each leaf: where the condition holds, the anchor of its
+        relation alone; and with all others that go with what is asked.
         """
-        wishes = [0] * self._leaves
-        for branch in SHAPES[self._wanted.category].branches:
-            condition = self._conditions.condition(statements[branch.condition])
+        first, second = [0] * self._leaves, [0] * self._leaves
+        for branch in program.branches:
+            condition = program.conditions[branch.condition]
             anchors = () if condition.qualifier is None else condition.qualifier.anchors
-            alike = self._stops.of_labels(
-                goes_with().get(condition.label, frozenset()) - {anchor.label for anchor in anchors}
-            )
+            labels = goes_with().get(condition.label, frozenset()) - {anchor.label for anchor in anchors}
+            alike = self._stops.of_labels(labels)
+            places = self._stops.of_labels(labels & belongs_by().get(condition.label, frozenset())) or alike
             if branch.then < 0:
-                one = len(anchors) == 1
-                wishes[-1 - branch.then] = self._stops.of_object(anchors[0].object_id) if one else alike
+                at = self._stops.of_object(anchors[0].object_id) if len(anchors) == 1 else 0
+                first[-1 - branch.then], second[-1 - branch.then] = at or places, at | alike
             if branch.otherwise < 0:
-                wishes[-1 - branch.otherwise] = alike
-        return wishes
+                first[-1 - branch.otherwise], second[-1 - branch.otherwise] = places, alike
+        return first, second
 
     def _name_stops(
         self,

@@ -13,6 +13,7 @@ import orjson
 import pyarrow as pa
 
 from condvln.labels import vocabulary
+from condvln.labels.lists import belongs_by, goes_with
 from schemas.episode import Composition
 from schemas.program import SHAPES, Branch, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
 from schemas.tables import INSTRUCTIONS
@@ -23,6 +24,7 @@ __all__ = [
     "instruction_id",
     "instruction_table",
     "instructions_with_text",
+    "oddness",
     "oracle_linear",
     "program_key",
     "program_tree",
@@ -52,6 +54,37 @@ def instruction_id(family: str, scene_id: str, program: Program) -> str:
     """Return the id of one program in one scene."""
     key = f"{family}\x1f{scene_id}\x1f{program_key(program)}"
     return hashlib.sha256(key.encode()).hexdigest()[:ID_LENGTH]
+
+
+def oddness(program: Program) -> int:
+    """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
+
+    A goal is odd by 0 if it is a place where what is asked about serves a purpose, or the anchor of the relation where
+    that holds; by 1 if it serves a purpose with it; by 2 otherwise. Each condition after the first is odd by 1 if it
+    serves no purpose with one before it, and by 1 if it is about another room.
+    """
+    found = 0
+    for branch in program.branches:
+        condition = program.conditions[branch.condition]
+        anchors = () if condition.qualifier is None else condition.qualifier.anchors
+        if branch.then < 0:
+            goal = program.leaves[-1 - branch.then].moves[-1]
+            if goal.object_id not in [anchor.object_id for anchor in anchors]:
+                found += _distance(condition, goal.label)
+        if branch.otherwise < 0:
+            found += _distance(condition, program.leaves[-1 - branch.otherwise].moves[-1].label)
+    for k, one in enumerate(program.conditions):
+        if before := program.conditions[:k]:
+            found += all(other.label not in goes_with().get(one.label, ()) for other in before)
+            found += one.room.room_id not in [other.room.room_id for other in before]
+    return found
+
+
+def _distance(condition: Condition, goal: str) -> int:
+    """Return how odd a goal is that is not the anchor of what is asked."""
+    if condition.qualifier is not None and goal in condition.qualifier.anchor_labels:
+        return 2
+    return 2 - (goal in goes_with().get(condition.label, ())) - (goal in belongs_by().get(condition.label, ()))
 
 
 def composition(program: Program) -> Composition:

@@ -22,6 +22,7 @@ __all__ = [
     "UsualSize",
     "Worth",
     "also_called",
+    "belongs_by",
     "fixtures_of",
     "goes_with",
     "have_role",
@@ -171,13 +172,27 @@ def goes_with() -> Mapping[str, frozenset[str]]:
     """Return, by label, the other labels that serve a purpose with it, from ``affinity.csv``: a towel goes with the
     laundry basket and with the bathtub. The table was written by hand: see ``docs/language.md``.
     """
-    purposes: dict[str, set[str]] = {}
+    return _joined("", "")
+
+
+@cache
+def belongs_by() -> Mapping[str, frozenset[str]]:
+    """Return, by label, the labels of the places where such a thing serves a purpose, from ``affinity.csv``: a chair by
+    the desk. Whether it is there is worth asking.
+    """
+    return _joined("thing", "place")
+
+
+def _joined(part: str, other: str) -> Mapping[str, frozenset[str]]:
+    """Return, by label with one part in a purpose, the other labels with another part in it; empty for any part."""
+    purposes: dict[str, list[tuple[str, str]]] = {}
     for row in _rows("affinity"):
-        purposes.setdefault(row["purpose"], set()).add(row["label"])
+        purposes.setdefault(row["purpose"], []).append((row["label"], row["part"]))
     found: dict[str, set[str]] = {}
     for together in purposes.values():
-        for label in together:
-            found.setdefault(label, set()).update(together - {label})
+        for label, own in together:
+            if own == part or not part:
+                found.setdefault(label, set()).update(x for x, its in together if x != label and its.endswith(other))
     return {label: frozenset(others) for label, others in found.items()}
 
 
