@@ -124,7 +124,6 @@ class CandidateSupply:
     Attributes
     ----------
     labels : number of labels that leaves of the scene can have
-    purposeful : whether programs whose goals go with what is asked are placed first
     group_leaves : mean number of leaves of all programs of a counterfactual group
     """
 
@@ -134,7 +133,6 @@ class CandidateSupply:
         self._seen: defaultdict[Category, Seen] = defaultdict(Seen)
         self._drawings: dict[tuple[InstructionCell, bool], CellDrawing | None] = {}
         self.labels = len(sampler.stop_sampler.weights)
-        self.purposeful = sampler.sampling.purpose > 0
         leaves = [SHAPES[category].leaves for category in CATEGORIES if sampler.wanted.cells_of(category)]
         self.group_leaves = GROUP_SIZE * sum(leaves) / max(1, len(leaves))
 

@@ -162,6 +162,7 @@ def fill_pool(
     groups: int = 0,
     move_shares: MoveShares | None = None,
     looking: LookingPaths | None = None,
+    purposeful: bool = False,
 ) -> EpisodePool:
     """Draw candidates and place them, until every cell has the wanted number of episodes or is exhausted.
 
@@ -179,10 +180,11 @@ def fill_pool(
     move_shares : wanted and drawn shares of leaves with 1, 2, … moves by category. Long routes are rejected more often,
         so those that a cell lacks are drawn, and its next candidate is always the one that brings the cell's leaves
         nearest to the wanted shares; None tries the candidates in order
+    purposeful : of the candidates with the same moves, try those first whose parts have most to do with each other
     """
     wanted = sum(cell.count * SHAPES[cell.category].leaves for cell in cells) + round(groups * supply.group_leaves)
     most_of_label = most_leaves(allowed_share(label_cap, supply.labels), wanted)
-    filling = _Filling(supply, placer, groups, names_compass, observer, cells, move_shares, looking)
+    filling = _Filling(supply, placer, groups, names_compass, observer, cells, move_shares, looking, purposeful)
     filling.fill(lambda _: most_of_label)
     filling.trim(label_cap)
     return filling.pool()
@@ -271,8 +273,9 @@ class _Filling:
         cells: Sequence[InstructionCell],
         move_shares: MoveShares | None,
         looking: LookingPaths | None,
+        purposeful: bool,
     ) -> None:
-        self._looking = looking
+        self._looking, self._purposeful = looking, purposeful
         self._supply, self._cells, self._move_shares = supply, cells, move_shares
         self._tries: list[_Try] = []
         self._untried: dict[InstructionCell | None, _Waiting] = {cell: {} for cell in (None, *cells)}
@@ -419,10 +422,10 @@ class _Filling:
         return bool(found)
 
     def _wait(self, one: _Try) -> None:
-        """Let a candidate wait for its turn, behind those whose goals go as well with what is asked."""
+        """Let a candidate wait for its turn, behind those that are no odder."""
         moves = one.moves if one.cell is not None and self._is_free(one.cell) else ()
         waiting = self._untried[one.cell].setdefault(moves, [])
-        if self._supply.purposeful:
+        if self._purposeful:
             insort(waiting, one, key=lambda other: other.oddness)
         else:
             waiting.append(one)

@@ -252,6 +252,7 @@ def place_programs(
         instructions.counterfactual_groups,
         lambda category: (sampling.move_shares(category), sampling.drawn_move_shares(category)),
         looking,
+        purposeful=sampling.purpose > 0,
     )
     pool.reject_collisions(scene.scene_id)
     return PlacedPrograms(pool, sampler.rejections)

@@ -59,32 +59,36 @@ def instruction_id(family: str, scene_id: str, program: Program) -> str:
 def oddness(program: Program) -> int:
     """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
 
-    A goal is odd by 0 if it is a place where what is asked about serves a purpose, or the anchor of the relation where
-    that holds; by 1 if it serves a purpose with it; by 2 otherwise. Each condition after the first is odd by 1 if it
-    serves no purpose with one before it, and by 1 if it is about another room.
+    Where a relation holds, one goes to its anchor (0) or to a place where what is asked about serves a purpose (1);
+    else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, and each
+    stop before a goal that serves no purpose with it 1. Each condition after the first counts 1 if it serves no purpose
+    with one before it, and 1 if it is about another room. A relation to something that the thing does not belong by counts
+    2.
     """
     found = 0
     for branch in program.branches:
         condition = program.conditions[branch.condition]
         anchors = () if condition.qualifier is None else condition.qualifier.anchors
-        if branch.then < 0:
-            goal = program.leaves[-1 - branch.then].moves[-1]
-            if goal.object_id not in [anchor.object_id for anchor in anchors]:
-                found += _distance(condition, goal.label)
-        if branch.otherwise < 0:
-            found += _distance(condition, program.leaves[-1 - branch.otherwise].moves[-1].label)
+        for end, holds in ((branch.then, True), (branch.otherwise, False)):
+            if end < 0:
+                goal = program.leaves[-1 - end].moves[-1]
+                at_anchor = goal.object_id in [anchor.object_id for anchor in anchors]
+                if not (holds and at_anchor):
+                    found += 2 if at_anchor else _distance(condition.label, goal.label) + (holds and bool(anchors))
+    for leaf in program.leaves:
+        found += sum(move.label not in goes_with().get(leaf.moves[-1].label, ()) for move in leaf.moves[:-1])
     for k, one in enumerate(program.conditions):
+        anchors = () if one.qualifier is None else one.qualifier.anchor_labels
+        found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in anchors)
         if before := program.conditions[:k]:
             found += all(other.label not in goes_with().get(one.label, ()) for other in before)
             found += one.room.room_id not in [other.room.room_id for other in before]
     return found
 
 
-def _distance(condition: Condition, goal: str) -> int:
-    """Return how odd a goal is that is not the anchor of what is asked."""
-    if condition.qualifier is not None and goal in condition.qualifier.anchor_labels:
-        return 2
-    return 2 - (goal in goes_with().get(condition.label, ())) - (goal in belongs_by().get(condition.label, ()))
+def _distance(asked: str, goal: str) -> int:
+    """Return 0 if a thing that is asked about belongs by a goal, 1 if they serve a purpose together, else 2."""
+    return 0 if goal in belongs_by().get(asked, ()) else 1 if goal in goes_with().get(asked, ()) else 2
 
 
 def composition(program: Program) -> Composition:

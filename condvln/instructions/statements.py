@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from condvln.instructions.predicates import ASKED
 from condvln.instructions.referents import Referents, meant_by
 from condvln.labels import Vocabulary
-from condvln.labels.lists import LEAST_WORTH, belongs_by, labels_with_role, worth
+from condvln.labels.lists import LEAST_WORTH, labels_with_role, worth
 from schemas.program import Predicate
 
 __all__ = ["ANCHOR_JOINT", "StatementTruths", "anchor_key", "statement_truths"]
@@ -36,9 +36,8 @@ class StatementTruths:
     false (l, a) : every object that the label might mean, visible or not, and every unlabelled object that may have the
         label, fails the relation at the loose threshold (for compass words, at `sector_denied`)
 
-    Of labels that nobody would ask about, and beside anchors that nobody would name (``worth``) or where such a thing
-    serves no purpose (``belongs_by``), `true` and `false` are unset; likewise where an anchor is neither fixed nor
-    larger than each object of the label.
+    Of labels that nobody would ask about, and beside anchors that nobody would name (``worth``), `true` and `false` are
+    unset; likewise where an anchor is neither fixed nor larger than each object of the label.
     """
 
     predicate: Predicate
@@ -82,10 +81,6 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
     possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
     exactly, perhaps = exact.astype(np.float32), possible.astype(np.float32)
-    # Nobody asks whether the pillow is on the counter. In a home without rooms, furniture may be anywhere.
-    belongs = np.array([[x in belongs_by().get(label, ()) for x in own] for label in labels], dtype=bool)
-    if not vocabulary.room(room_type).fit_for_text:
-        belongs[[label in labels_with_role("surface") for label in labels]] = True
     fit: dict[int, Bools] = {}  # by the number of anchors: predicates with as many have the same choices of them
     for predicate in ASKED:
         anchors, status, _, suits = referents.related(predicate)
@@ -93,11 +88,7 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
             # "a bed near the bed" is pointless, and so is any other word for the bed.
             meant = overlap[:, anchors].any(axis=2)
             fit[anchors.shape[1]] = (
-                landmark[anchors].all(axis=1)
-                & belongs[:, anchors].all(axis=2)
-                & ~meant
-                & asked[:, None]
-                & (exactly @ (~suits).astype(np.float32) == 0)
+                landmark[anchors].all(axis=1) & ~meant & asked[:, None] & (exactly @ (~suits).astype(np.float32) == 0)
             )
         sayable = fit[anchors.shape[1]]
         if predicate == "on":

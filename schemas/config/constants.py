@@ -171,7 +171,7 @@ RING_GAP: Final = 0.125
 FAR_RING_GAP: Final = 0.2
 """Largest distance between two rings of candidates beyond reach, metres."""
 
-DRAWN_PER_PLACE: Final = 2.5
+DRAWN_PER_PLACE: Final = 5
 """Number of candidates drawn at once for each episode that a cell lacks, since placing rejects some."""
 
 MOVES_OFF: Final = 1.5

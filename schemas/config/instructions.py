@@ -189,7 +189,7 @@ class CompositionWeights(Section):
     """weight of C0: programs in one room"""
     C1: Weight = 1.0
     """weight of C1: programs in several rooms that are not C2"""
-    C2: Weight = 1.0
+    C2: Weight = 0.3
     """weight of C2: programs with a branch over three rooms"""
 
 
@@ -197,21 +197,21 @@ class PredicateWeights(Section):
     """Weights of the groups of predicates; a group with weight 0 is used only where no other predicate can be used."""
 
     # What people say most comes first; heights are correct but stilted.
-    on: Weight = 0.20
+    on: Weight = 0.60
     """weight of “on”"""
     under: Weight = 0.10
     """weight of “under”, which only distinguishes stops"""
-    inside: Weight = 0.10
+    inside: Weight = 0.30
     """weight of “in”"""
-    near: Weight = 0.40
+    near: Weight = 0.30
     """weight of “near”"""
-    vertical: Weight = 0.10
+    vertical: Weight = 0.05
     """weight of “above” and “below”"""
-    between: Weight = 0.15
+    between: Weight = 0.05
     """weight of “between”"""
     closest: Weight = 0.20
     """weight of “closest to”, which only distinguishes stops"""
-    compass: Weight = 0.25
+    compass: Weight = 0.10
     """weight of the eight compass words"""
     bearing: Weight = 0.30
     """weight of “left”, “right”, “ahead” and “behind”, where directions are egocentric"""
@@ -230,6 +230,8 @@ PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
         "compass_share": 1.0,
         "compass_phrases": 8,
         "purpose": 0.0,
+        "compositions": {"C2": 1.0},
+        "predicates": {"on": 0.2, "inside": 0.1, "near": 0.4, "vertical": 0.1, "between": 0.15, "compass": 0.25},
         "moves": (0.4, 0.4, 0.2),
         "moves_four_leaves": (0.6, 0.4),
         "moves_drawn": (0.27, 0.39, 0.34),
@@ -242,13 +244,13 @@ PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
 class SamplingConfig(Section):
     """How candidate programs are sampled."""
 
-    candidates_per_episode: int = Field(5, ge=1, le=1000)
+    candidates_per_episode: int = Field(10, ge=1, le=1000)
     """number of candidates drawn for each episode wanted, since placing rejects some"""
-    moves: tuple[Share, Share, Share] = (0.7, 0.25, 0.05)
+    moves: tuple[Share, Share, Share] = (0.8, 0.17, 0.03)
     """shares of leaves with 1, with 2 and with 3 moves, in programs with two or three leaves"""
     moves_four_leaves: tuple[Share, Share] = (0.85, 0.15)
     """shares of leaves with 1 and with 2 moves, in programs with four leaves"""
-    moves_drawn: tuple[Share, Share, Share] = (0.6, 0.28, 0.12)
+    moves_drawn: tuple[Share, Share, Share] = (0.75, 0.19, 0.06)
     """shares as in moves, but among drawn candidates: candidates with long routes are rejected more often, so more of
     these are drawn than are wanted"""
     moves_drawn_four_leaves: tuple[Share, Share] = (0.8, 0.2)
