@@ -296,5 +296,8 @@ def label_priors(
     true.
     """
     thresholds, sampling = thresholds or Thresholds(), sampling or SamplingConfig()
-    counts = ((one.family, LabelPriors.of_scene(one, thresholds, sampling.anchor_size)) for one in scenes)
+    counts = (
+        (one.family, LabelPriors.of_scene(one, thresholds, sampling.anchor_size, usual_places=sampling.usual_places))
+        for one in scenes
+    )
     return LabelPriors.of_corpus(counts, sampling, directions, places or PlacesConfig())

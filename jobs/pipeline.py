@@ -55,7 +55,7 @@ def build_pipeline(config: Config) -> Pipeline:
         name="condvln",
         stages=(
             SceneStage(agent, config.limits),
-            CountStage(config.thresholds, config.sampling.anchor_size),
+            CountStage(config.thresholds, config.sampling.anchor_size, config.sampling.usual_places),
             RelationStage(config.thresholds),
             VisibilityStage(config.places, config.episodes.object_seen, agent.max_climb),
             EpisodeStage(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -232,8 +233,6 @@ class CellDrawing:
         sent, better = drawn, program
         if self._goal_draws.uniform() < self._wanted.purpose:
             sent, better = self._purposeful(drawn, program)
-            if seen.keys is not None and sent.key in seen.sent_keys:
-                sent, better = drawn, program
         if seen.keys is not None:
             if sent.key in seen.sent_keys:
                 raise GivenUp("duplicate")
@@ -298,7 +297,8 @@ class CellDrawing:
         """Return the same statements with other stops, if there are any of which more goals go with what decides about
         them. The choice depends on what is said alone, so that it does not tell the truth.
         """
-        stops, draws, best, least = self._stops, self._goal_draws, (drawn, program), oddness(program)
+        stops, draws, best, sent_keys = self._stops, self._goal_draws, (drawn, program), self._seen.sent_keys
+        least = math.inf if drawn.key in sent_keys else oddness(program)
         weights = stops.goal_weights(self._seen.sent, self._wanted.label_cap)
         wishes = self._wishes(program)
         for attempt in range(PURPOSE_TRIES):
@@ -320,7 +320,8 @@ class CellDrawing:
                 continue
             sent = replace(drawn, named=named)
             other = self._program(sent)
-            if oddness(other) < least and composition(other) == self._composition:
+            new = sent.key not in sent_keys and composition(other) == self._composition
+            if new and oddness(other) < least:
                 best, least = (sent, other), oddness(other)
         return best
 

@@ -142,6 +142,7 @@ class ConditionPool:
         asked: Container[str] = ASKED,
         *,
         alone: bool = False,
+        usual_places: bool = False,
     ) -> ConditionPool:
         """Return the statements about one room.
 
@@ -151,10 +152,12 @@ class ConditionPool:
         elsewhere : labels that may be claimed absent, because other rooms of the scene or other scenes have them
         asked : predicates that conditions may use
         alone : weigh the statements for programs of one condition
+        usual_places : see ``statement_truths``
         """
         if not referents.room.asked:
             return cls(None, {})
-        relations = _relations(referents, bits, vocabulary, asked, alone=alone) | _bearings(referents, asked)
+        tables = statement_truths(referents, vocabulary, usual_places=usual_places)
+        relations = _relations(referents, bits, tables, asked, alone=alone) | _bearings(referents, asked)
         complete = referents.complete
         return cls(_presence(referents, bits, {*elsewhere}, vocabulary, alone=alone) if complete else None, relations)
 
@@ -192,11 +195,11 @@ def _presence(
 
 
 def _relations(
-    referents: Referents, bits: PriorBits, vocabulary: Vocabulary, asked: Container[str], *, alone: bool
+    referents: Referents, bits: PriorBits, tables: Iterable[StatementTruths], asked: Container[str], *, alone: bool
 ) -> dict[Form, RelationPool]:
     pools: dict[Form, RelationPool] = {}
     uneven: list[StatementTruths] = []
-    for truths in statement_truths(referents, vocabulary):
+    for truths in tables:
         if truths.predicate not in asked:
             continue
         weights = _counted_weights(referents, truths, bits, alone=alone)

@@ -145,21 +145,33 @@ class LabelPriors:
     summed: bool = False
 
     @classmethod
-    def of_scene(cls, scene: Scene, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
+    def of_scene(
+        cls, scene: Scene, thresholds: Thresholds, anchor_size: float, *, usual_places: bool = False
+    ) -> LabelPriors:
         """Return the counts of one scene, computed from the boxes of its objects.
 
-        thresholds, anchor_size : those used for drawing conditions, so that exactly the possible statements are counted
+        thresholds, anchor_size, usual_places : those used for drawing conditions, so that exactly the possible
+            statements are counted
         """
         boxes = [(room, scene.arrays(room.room_id)) for room in scene.rooms]
-        return cls(_of_rooms(scene.scene_id, boxes, thresholds, anchor_size))
+        return cls(_of_rooms(scene.scene_id, boxes, thresholds, anchor_size, usual_places))
 
     @classmethod
-    def of_tables(cls, rooms: pa.Table, objects: pa.Table, thresholds: Thresholds, anchor_size: float) -> LabelPriors:
+    def of_tables(
+        cls,
+        rooms: pa.Table,
+        objects: pa.Table,
+        thresholds: Thresholds,
+        anchor_size: float,
+        *,
+        usual_places: bool = False,
+    ) -> LabelPriors:
         """Return the counts of any number of scenes of one family, from their ``rooms`` and ``objects`` tables; see
         `of_scene`.
         """
         scenes = _boxes(rooms, objects)
-        return cls(tuple(part for name, boxes in scenes for part in _of_rooms(name, boxes, thresholds, anchor_size)))
+        read = thresholds, anchor_size, usual_places
+        return cls(tuple(part for name, boxes in scenes for part in _of_rooms(name, boxes, *read)))
 
     @classmethod
     def merged(cls, parts: Iterable[LabelPriors]) -> LabelPriors:
@@ -424,13 +436,17 @@ def _factor_rows(family: str, found: Mapping[Statement, int]) -> pa.Table:
 
 
 def _of_rooms(
-    scene_id: str, boxes: Sequence[tuple[Room, RoomArrays]], thresholds: Thresholds, anchor_size: float
+    scene_id: str,
+    boxes: Sequence[tuple[Room, RoomArrays]],
+    thresholds: Thresholds,
+    anchor_size: float,
+    usual_places: bool,
 ) -> tuple[pa.Table, ...]:
     """Return the counts of each room of one scene."""
     labels = [_seen(arrays) for _, arrays in boxes]
-    alone = len(boxes) == 1
+    alone, read = len(boxes) == 1, (thresholds, anchor_size, usual_places)
     return tuple(
-        _of_room(scene_id, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), thresholds, anchor_size, alone)
+        _of_room(scene_id, room, arrays, set().union(*labels[:k], *labels[k + 1 :]), *read, alone)
         for k, (room, arrays) in enumerate(boxes)
     )
 
@@ -442,6 +458,7 @@ def _of_room(
     elsewhere: set[str],
     thresholds: Thresholds,
     anchor_size: float,
+    usual_places: bool,
     alone: bool,
 ) -> pa.Table:
     here, possible, layout = _seen(arrays), set(arrays.labels), layout_of(scene_id)
@@ -455,7 +472,7 @@ def _of_room(
     if room.complete and len(arrays):
         facts = text_facts(relate_room(arrays, thresholds), thresholds)
         referents = Referents.of(room, arrays, facts, vocabulary, anchor_size)
-        for truths in statement_truths(referents, vocabulary):
+        for truths in statement_truths(referents, vocabulary, usual_places=usual_places):
             subjects, anchors = np.nonzero(truths.true | truths.false)
             keys = truths.anchor_keys(arrays.labels)
             rows.add(

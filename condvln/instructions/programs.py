@@ -60,10 +60,9 @@ def oddness(program: Program) -> int:
     """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
 
     Where a relation holds, one goes to its anchor (0) or to a place where what is asked about serves a purpose (1);
-    else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, and each
-    stop before a goal that serves no purpose with it 1. Each condition after the first counts 1 if it serves no purpose
-    with one before it, and 1 if it is about another room. A relation to something that the thing does not belong by counts
-    2.
+    else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, and each stop
+    before a goal that serves no purpose with it 1. Each condition after the first counts 1 if it serves no purpose with
+    one before it, and 1 if it is about another room; a relation to a place where the thing serves no purpose 2.
     """
     found = 0
     for branch in program.branches:

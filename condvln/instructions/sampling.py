@@ -201,7 +201,8 @@ class ProgramSampler:
         else:
             elsewhere = {o.label for o in self.scene.objects if o.room_id != room_id and not o.hidden}
         asked = asked_in(self.scene.family) & self._sayable
-        return ConditionPool.of(referents, bits, elsewhere, vocabulary, asked, alone=alone)
+        usual = self.sampling.usual_places
+        return ConditionPool.of(referents, bits, elsewhere, vocabulary, asked, alone=alone, usual_places=usual)
 
     @property
     def rejections(self) -> Counter[tuple[InstructionCell | None, str]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from condvln.instructions.predicates import ASKED
 from condvln.instructions.referents import Referents, meant_by
 from condvln.labels import Vocabulary
-from condvln.labels.lists import LEAST_WORTH, labels_with_role, worth
+from condvln.labels.lists import LEAST_WORTH, belongs_by, known_purposes, labels_with_role, worth
 from schemas.program import Predicate
 
 __all__ = ["ANCHOR_JOINT", "StatementTruths", "anchor_key", "statement_truths"]
@@ -63,8 +63,13 @@ def anchor_key(labels: Iterable[str]) -> str:
     return ANCHOR_JOINT.join(sorted(labels))
 
 
-def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[StatementTruths]:
-    """Yield one table for each predicate with anchors: the truths of all statements about one room that use it."""
+def statement_truths(
+    referents: Referents, vocabulary: Vocabulary, *, usual_places: bool = False
+) -> Iterator[StatementTruths]:
+    """Yield one table for each predicate with anchors: the truths of all statements about one room that use it.
+
+    usual_places : leave out statements about a thing beside something that it serves no purpose with
+    """
     own = referents.arrays.labels
     labels = tuple(sorted({label for label, fit in zip(own, referents.nameable, strict=True) if fit}))
     if not labels or not len(referents.anchors):
@@ -81,6 +86,7 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
     definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
     possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
     exactly, perhaps = exact.astype(np.float32), possible.astype(np.float32)
+    suited = _suited(labels, own, anywhere=not vocabulary.room(room_type).fit_for_text)
     fit: dict[int, Bools] = {}  # by the number of anchors: predicates with as many have the same choices of them
     for predicate in ASKED:
         anchors, status, _, suits = referents.related(predicate)
@@ -90,6 +96,8 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
             fit[anchors.shape[1]] = (
                 landmark[anchors].all(axis=1) & ~meant & asked[:, None] & (exactly @ (~suits).astype(np.float32) == 0)
             )
+            if usual_places:
+                fit[anchors.shape[1]] &= suited[:, anchors].all(axis=2)
         sayable = fit[anchors.shape[1]]
         if predicate == "on":
             # Nobody would ask whether the faucet is on the painting, or the side table on the sink.
@@ -108,3 +116,19 @@ def statement_truths(referents: Referents, vocabulary: Vocabulary) -> Iterator[S
             true=np.asarray((exactly @ held.astype(np.float32) > 0) & sayable),
             false=np.asarray((left == 0) & sayable),
         )
+
+
+def _suited(labels: Sequence[str], own: Sequence[str], *, anywhere: bool) -> Bools:
+    """Return whether it is worth asking if a thing of each of `labels` is by each thing of the room, (l, n): nobody
+    asks whether the pillow is on the counter. Where no purpose of a label is known, it is.
+
+    anywhere : furniture may be anywhere, as in a home without rooms
+    """
+    known, free = known_purposes(), labels_with_role("surface") if anywhere else frozenset[str]()
+    return np.array(
+        [
+            [not known >= {label, x} or label in free or x in belongs_by().get(label, ()) for x in own]
+            for label in labels
+        ],
+        dtype=bool,
+    )

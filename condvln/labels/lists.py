@@ -26,6 +26,7 @@ __all__ = [
     "fixtures_of",
     "goes_with",
     "have_role",
+    "known_purposes",
     "labels_with_role",
     "plausible_sizes",
     "required_in",
@@ -181,6 +182,12 @@ def belongs_by() -> Mapping[str, frozenset[str]]:
     the desk. Whether it is there is worth asking.
     """
     return _joined("thing", "place")
+
+
+@cache
+def known_purposes() -> frozenset[str]:
+    """Return the labels of which ``affinity.csv`` knows a purpose."""
+    return frozenset(row["label"] for row in _rows("affinity"))
 
 
 def _joined(part: str, other: str) -> Mapping[str, frozenset[str]]:

@@ -102,7 +102,7 @@ class RelationStage(Stage):
         return StageOutput(tables={"relations": relation_table(scene, relations, self.thresholds, facts)})
 
 
-COUNTING: Final = 19
+COUNTING: Final = 20
 """Version of how statements are counted, in a scene and over all scenes."""
 
 
@@ -114,6 +114,7 @@ class CountStage(Stage):
 
     thresholds: Thresholds
     anchor_size: float
+    usual_places: bool
     name: str = "counts"
     version: int = COUNTING
     tables: tuple[str, ...] = ("counts",)
@@ -122,13 +123,16 @@ class CountStage(Stage):
     @cached_property
     def _parameters(self) -> JSON:
         """What `parameters` returns: one object for all units, whose hash is cached."""
-        return {"thresholds": dump(self.thresholds), "sampling": {"anchor_size": self.anchor_size}}
+        sampling = {"anchor_size": self.anchor_size, "usual_places": self.usual_places}
+        return {"thresholds": dump(self.thresholds), "sampling": sampling}
 
     def parameters(self, unit: Unit) -> JSON:
         return self._parameters
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
-        found = LabelPriors.of_tables(upstream["rooms"], upstream["objects"], self.thresholds, self.anchor_size)
+        found = LabelPriors.of_tables(
+            upstream["rooms"], upstream["objects"], self.thresholds, self.anchor_size, usual_places=self.usual_places
+        )
         return StageOutput(tables={"counts": found.rows()})
 
 

@@ -230,6 +230,7 @@ PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
         "compass_share": 1.0,
         "compass_phrases": 8,
         "purpose": 0.0,
+        "usual_places": False,
         "compositions": {"C2": 1.0},
         "predicates": {"on": 0.2, "inside": 0.1, "near": 0.4, "vertical": 0.1, "between": 0.15, "compass": 0.25},
         "moves": (0.4, 0.4, 0.2),
@@ -264,6 +265,8 @@ class SamplingConfig(Section):
     room type"""
     compositions: CompositionWeights = Field(default_factory=CompositionWeights)
     predicates: PredicateWeights = Field(default_factory=PredicateWeights)
+    usual_places: bool = True
+    """ask where something is only beside what it serves a purpose with, such as a book and a desk"""
     anchor_size: Metres = 0.3
     """a movable object whose longest side is shorter than this is not used as an anchor and does not name a room"""
     bearings: int = Field(2, ge=1, le=4)

@@ -283,7 +283,8 @@ def test_every_decision_is_shown_by_the_frames_up_to_it_and_by_none_before(
             assert episode.looking_length <= RULES.looking_detour.most(leaf.route_length)
             assert 1.5 * len(episode.looking_actions) <= RULES.step_ceiling
             if all(np.allclose(place, start, atol=1e-5) for place in places[: max(episode.looking_decided) + 1]):
-                assert episode.looking_length == pytest.approx(leaf.route_length, abs=1e-9)
+                # The walk may reach a stop at another of its points, and a lead anywhere in its room.
+                assert episode.looking_length == pytest.approx(leaf.route_length, abs=0.1)
             count += 1
     assert count >= 10
 

@@ -410,10 +410,10 @@ class ToOrder:
 
 
 class ShortRoutes(Anywhere):
-    """Places every program without long routes, and every third of the others."""
+    """Places every program without long routes, and every eighth of the others."""
 
     def place(self, program: Program, instruction_id: str, **_: object) -> Placement:
-        if max(len(leaf.moves) for leaf in program.leaves) > 1 and int(instruction_id) % 3:
+        if max(len(leaf.moves) for leaf in program.leaves) > 1 and int(instruction_id) % 8:
             raise Rejected("path_enters_other_leaf")
         return Placement(np.zeros(3), 0.0, tuple(program.leaves), 1.0)
 
@@ -422,18 +422,19 @@ class ShortRoutes(Anywhere):
 def test_candidates_are_drawn_as_they_are_wanted_with_the_moves_and_golds_that_a_cell_lacks(category: Category) -> None:
     cell, leaves = InstructionCell(category=category, count=12), SHAPES[category].leaves
     shares = (0.6, 0.4) if leaves == 4 else (0.4, 0.4, 0.2)
-    total, drawn = Counter[int](), 0
+    total, drawn, calls = Counter[int](), 0, 0
     for scene in range(40):
         supply = ToOrder(category, scene, most=200)
         pool = fill_pool(supply, ShortRoutes(), (cell,), 1.0, lambda _: False, None, 0, lambda _: (shares, shares))
         assert Counter(e.program.gold_leaf() for e in pool.episodes) == dict.fromkeys(range(leaves), 12 // leaves)
         assert pool.candidates[cell] == len(supply.drawn) == 12 + sum(pool.rejections.values())
-        assert supply.calls > 1
+        calls += supply.calls
         total += Counter(len(leaf.moves) for e in pool.episodes for leaf in e.program.leaves)
         drawn += len(supply.drawn)
-    assert drawn < 5 * 12 * 40, "a third of the programs with a long route is placed"
+    assert calls > 40, "some cells lack what was drawn for them, and draw again"
+    assert drawn < 12 * 12 * 40, "an eighth of the programs with a long route is placed"
     found = [total[n] / total.total() for n in range(1, len(shares) + 1)]
-    assert found == pytest.approx(shares, abs=0.03)
+    assert found == pytest.approx(shares, abs=0.04)
 
 
 class Led(ToOrder):
@@ -449,7 +450,7 @@ class Led(ToOrder):
         return led
 
 
-@pytest.mark.parametrize(("lost", "led"), [((), 9), (range(1, 400, 2), 9), (range(0, 14, 2), 7)])
+@pytest.mark.parametrize(("lost", "led"), [((), 9), (range(1, 400, 2), 9), (range(7, 45), 7)])
 def test_a_cell_has_its_leads_and_others_where_they_find_no_place(lost: Iterable[int], led: int) -> None:
     cell, supply = InstructionCell(category="simple", count=12), Led("simple", 0, most=400)
     placer = Anywhere([f"{k}" for k in lost])
@@ -469,7 +470,7 @@ def test_a_cell_that_asks_for_leads_has_nothing_else() -> None:
     more = supply.more
     supply.leads_of = lambda cell: cell.count
     supply.more = lambda *asked, leads=False: () if leads and len(supply.drawn) > 10 else more(*asked, leads=leads)
-    lost = [f"{k}" for k in range(0, 400, 2)]
+    lost = [f"{k}" for k in range(400) if k % 6]
     pool = fill_pool(supply, Anywhere(lost), (cell,), 1.0, lambda _: False, None, 0, lambda _: 2 * ((1.0,),))
     assert 0 < len(pool.episodes) < 12
     assert all(episode.program.branches[0].lead is not None for episode in pool.episodes)

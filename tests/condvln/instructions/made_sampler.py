@@ -23,13 +23,17 @@ def made_sampler(
     sampling: SamplingConfig | None = None,
     **wanted: Any,
 ) -> ProgramSampler:
-    """Any program may use compass words. `wanted` : keys of the instructions; `candidates` : candidates per episode."""
+    """Any program may use compass words, and anything may be asked.
+
+    wanted : keys of the instructions; candidates : candidates per episode
+    """
     return ProgramSampler(
         scene,
         facts,
         bits,
         InstructionsConfig(**wanted),
-        sampling or SamplingConfig(candidates_per_episode=candidates, compass_share=1.0, compass_phrases=8),
+        sampling
+        or SamplingConfig(candidates_per_episode=candidates, compass_share=1.0, compass_phrases=8, usual_places=False),
         seed,
         stops=stops or apart_by_centres(scene, PlacesConfig()),
         preamble=preamble,

@@ -33,7 +33,7 @@ from jobs.stages.scene import COUNTING
 from schemas.config import PlacesConfig, SamplingConfig, Thresholds
 from schemas.config.constants import EVIDENCE, STAGINGS
 
-FITTED = (19, "5dbe00776f3774601a3232fd6e1fcffd")
+FITTED = (20, "bd09d559f4fe8991787273a03a610715")
 """Version of the priors, and the hash of the table that it fits."""
 
 

@@ -258,8 +258,8 @@ def test_compositions(sampled) -> None:
         else:
             # Four leaves hardly ever fit into one small room; two do.
             small = Counter(composition(p) for p in programs if p.category == "simple")
-            assert min(small[c] for c in ("C0", "C1", "C2")) >= 0.1 * sum(small.values())
-            assert min(found["C1"], found["C2"]) >= 0.25 * len(programs)
+            assert min(small[c] for c in ("C0", "C1", "C2")) >= 0.05 * sum(small.values())
+            assert found["C1"] > found["C2"] >= 0.2 * len(programs)
 
 
 @pytest.mark.parametrize("composition_", ["C0", "C1", "C2"])
@@ -496,7 +496,7 @@ def test_goals_fit_what_is_asked_and_change_nothing_of_what_is_asked(make_scene,
         facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
         asked = {}
         for share in fits:
-            sampling = SamplingConfig(purpose=share, compass_share=1.0, compass_phrases=8)
+            sampling = SamplingConfig(purpose=share, compass_share=1.0, compass_phrases=8, usual_places=False)
             sampler = made_sampler(scene, facts, bits, sampling=sampling, per_category=dict.fromkeys(CATEGORIES, 8))
             programs = [program for category in CATEGORIES for program in sampler.candidates(category)]
             asked[share] = [program.conditions for program in programs]

@@ -135,7 +135,7 @@ def test_wording_is_decided_by_seed_and_id(texts, code: str) -> None:
     _, program, _ = texts[0]
     assert render(program, 0, "a", code) == render(program, 0, "a", code)
     assert len({render(program, seed, "a", code) for seed in range(20)}) > 10
-    assert len({render(program, 0, str(name), code) for name in range(20)}) > 10
+    assert len({render(program, 0, str(name), code) for name in range(20)}) > 8
 
 
 def test_rooms_are_named_where_there_are_several_and_only_there(texts, code: str) -> None:

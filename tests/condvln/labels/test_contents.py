@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from condvln.labels import vocabulary
-from condvln.labels.lists import UNLISTED, _rows, goes_with, types_by_contents, worth
+from condvln.labels.lists import UNLISTED, _rows, belongs_by, goes_with, types_by_contents, worth
 from condvln.verify.words import words
 
 PEWS = ("pew",) * 3
@@ -61,13 +61,17 @@ def test_rooms_with_a_type_keep_it_and_order_does_not_matter(rooms: list[tuple[s
 
 
 def test_what_goes_together_is_known_and_mutual() -> None:
-    rows = [(row["purpose"], row["label"]) for row in _rows("affinity")]
+    rows = [(row["purpose"], row["label"], row["part"]) for row in _rows("affinity")]
     assert rows == sorted({*rows}), "each once, in order"
-    assert {label for _, label in rows} <= {*vocabulary.labels}
+    assert {label for _, label, _ in rows} <= {*vocabulary.labels}
+    assert {part for _, _, part in rows} == {"thing", "place"}
     together = goes_with()
     assert all(label in together[other] and label != other for label in together for other in together[label])
     assert "washing machine" in together["towel"]
     assert "television" not in together["towel"]
+    assert all(places <= together[thing] for thing, places in belongs_by().items())
+    assert "desk" in belongs_by()["book"]
+    assert "book" not in belongs_by().get("desk", ())
 
 
 def test_each_label_has_a_worth_between_0_and_1() -> None:
