@@ -27,7 +27,7 @@ SHOWN_REASONS: Final = 3
 """Number of reasons named beside a row on a terminal; ``--json`` has all of them."""
 SHOWN_SCENES: Final = 20
 """Number of scenes without episodes that are listed on a terminal."""
-SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full"})
+SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full", "truth_full"})
 """Reasons of candidates for which there was no room, in the cell or among those of their gold leaf."""
 TOO_FEW: Final = "too_few_candidates"
 """Cause of the episodes that would be missing even if every candidate had been placed."""

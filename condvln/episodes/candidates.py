@@ -58,6 +58,7 @@ REASONS: Final[dict[str, str]] = {
     "label_over_cap": "a target's label already has its share of the scene's leaves",
     "quota_full": "the cell already has all its episodes",
     "gold_leaf_full": "the cell already has its share of episodes with this gold leaf",
+    "truth_full": "relations to whose anchor one is sent already have this truth more often in the scene's episodes",
     "id_collision": "another episode with a smaller hash has the same integer id",
     "no_navmesh": "the scene has no navmesh to place episodes on",
     "no_start": "no navigable start on an island wide enough",

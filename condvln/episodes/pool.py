@@ -18,7 +18,7 @@ from condvln.episodes.identity import colliding, content_hash, numeric_id
 from condvln.episodes.looking import LookingPath, LookingPaths
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected, Routes
-from condvln.instructions.programs import oddness
+from condvln.instructions.programs import oddness, truths_sent_to
 from schemas.config import InstructionCell
 from schemas.config.constants import DRAWN_PER_PLACE, FEW_LABELS_SLACK, KEPT_AT_LEAST, MOVES_OFF
 from schemas.program import SHAPES, Category, Program
@@ -83,9 +83,14 @@ def over_share(units: Sequence[Sequence[Counter[str]]], label_cap: float) -> lis
 QUARTERS: Final = tuple(k * math.pi / 2 for k in range(4))
 """Yaw offsets tried for a start whose first view must show the evidence; they map compass points to compass points."""
 
-PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "label_over_cap", "program_placed"})
+PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "truth_full", "label_over_cap", "program_placed"})
 """Rejection reasons that may no longer apply after other episodes are dropped."""
 
+
+SENT_OFF: Final = 1
+"""By how many more relations may be true than false, or the other way, to whose anchor a scene's episodes send one:
+placing finds the false ones more often, where something small is on what is the goal.
+"""
 
 MoveShares: TypeAlias = Callable[[Category], tuple[Sequence[float], Sequence[float]]]
 """Returns the shares of leaves with 1, 2, … moves that are wanted of a category, and those that are drawn for that."""
@@ -180,7 +185,8 @@ def fill_pool(
     move_shares : wanted and drawn shares of leaves with 1, 2, … moves by category. Long routes are rejected more often,
         so those that a cell lacks are drawn, and its next candidate is always the one that brings the cell's leaves
         nearest to the wanted shares; None tries the candidates in order
-    purposeful : of the candidates with the same moves, try those first whose parts have most to do with each other
+    purposeful : of the candidates with the same moves, try those first whose parts have most to do with each other, and
+        keep the truths even of relations to whose anchor one is sent
     """
     wanted = sum(cell.count * SHAPES[cell.category].leaves for cell in cells) + round(groups * supply.group_leaves)
     most_of_label = most_leaves(allowed_share(label_cap, supply.labels), wanted)
@@ -220,6 +226,12 @@ class _Try:
     def oddness(self) -> int:
         """How little the parts of the first of them have to do with each other."""
         return oddness(self.members[0].program)
+
+    @cached_property
+    def sent(self) -> int:
+        """Number of true less number of false relations of the first of them to whose anchor one is sent."""
+        truths = truths_sent_to(self.members[0].program)
+        return 2 * sum(truths) - len(truths)
 
     @cached_property
     def has_leads(self) -> bool:
@@ -292,7 +304,7 @@ class _Filling:
         self._led: Counter[InstructionCell] = Counter()
         self._labels: Counter[str] = Counter()
         self._seen: set[Program] = set()
-        self._changes = 0
+        self._changes = self._sent = 0
 
     def fill(self, most_of_label: Callable[[_Try], int]) -> int:
         """Place groups, then candidates of each cell, and return how many were placed. `most_of_label` is how many
@@ -362,6 +374,8 @@ class _Filling:
             return "quota_full"
         if cell is not None and self._golds[cell][one.gold] >= _golds_of_each(cell):
             return "gold_leaf_full"
+        if self._purposeful and cell is not None and abs(self._sent + one.sent) > max(SENT_OFF, abs(self._sent)):
+            return "truth_full"
         if any(self._labels[label] + count > most_of_label for label, count in one.targets.items()):
             return "label_over_cap"
         if not self._seen.isdisjoint(one.programs):
@@ -524,6 +538,7 @@ class _Filling:
             self._taken[one.cell] += by
             self._led[one.cell] += by * one.has_leads
             self._golds[one.cell][one.gold] += by
+            self._sent += by * one.sent
             for n, count in one.moves:
                 self._moves[one.cell][n] += by * count
         if by > 0:

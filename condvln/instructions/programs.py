@@ -29,6 +29,7 @@ __all__ = [
     "program_key",
     "program_tree",
     "programs_from_table",
+    "truths_sent_to",
     "with_leads",
 ]
 
@@ -77,11 +78,23 @@ def oddness(program: Program) -> int:
     for leaf in program.leaves:
         found += sum(move.label not in goes_with().get(leaf.moves[-1].label, ()) for move in leaf.moves[:-1])
     for k, one in enumerate(program.conditions):
-        anchors = () if one.qualifier is None else one.qualifier.anchor_labels
-        found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in anchors)
+        beside = () if one.qualifier is None else one.qualifier.anchor_labels
+        found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in beside)
         if before := program.conditions[:k]:
             found += all(other.label not in goes_with().get(one.label, ()) for other in before)
             found += one.room.room_id not in [other.room.room_id for other in before]
+    return found
+
+
+def truths_sent_to(program: Program) -> list[bool]:
+    """Return the truths of the relations to whose anchor one is sent where they hold."""
+    found = []
+    for branch in program.branches:
+        condition = program.conditions[branch.condition]
+        if branch.then < 0 and condition.qualifier is not None:
+            goal = program.leaves[-1 - branch.then].moves[-1].object_id
+            if goal in [anchor.object_id for anchor in condition.qualifier.anchors]:
+                found.append(condition.truth)
     return found
 
 
