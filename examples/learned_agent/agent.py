@@ -14,8 +14,9 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from network import Policy, Words, text_batch
+from network import Policy, Words, frame_batch, frame_tensors, text_batch
 from seen import START, Memory, Text
+from space import scan
 
 import condvln as cv
 from condvln.evaluation.scene_views import SceneViews
@@ -40,19 +41,16 @@ class Agent:
         self._scenes: dict[str, tuple[SceneViews, str]] = {}
         for pair in os.environ["LEARNED_AGENT_EYES"].split(","):
             folder, _, dataset = pair.partition("=")
-            for path in manifest_paths(Path(folder)):
-                for episode in cv.read_manifest(path):
-                    views = SceneViews({episode.source: dataset})
-                    self._scenes[str(episode.episode_id)] = views, f"{episode.source}/{episode.scene_id}"
-        self._sensors: dict[str, TextSensor] = {}
+            episodes = [one for path in manifest_paths(Path(folder)) for one in cv.read_manifest(path)]
+            views = SceneViews({one.source: dataset for one in episodes})
+            self._scenes |= {str(one.episode_id): (views, f"{one.source}/{one.scene_id}") for one in episodes}
 
     def begin(self, observation: cv.Observation) -> None:
         """Read the instruction, and forget the last episode."""
         views, scene = self._scenes[observation.episode_id]
-        if scene not in self._sensors:
-            view = views(scene)
-            self._sensors = {scene: TextSensor(view.scene, view.renderer)}
-        self._sensor, self._last, self._state = self._sensors[scene], START, None
+        view = views(scene)
+        self._sensor, self._renderer = TextSensor(view.scene, view.renderer), view.renderer
+        self._last, self._state = START, None
         text = Text.of(observation.instruction)
         self._memory = Memory(text)
         self._draws = torch.Generator().manual_seed(int(observation.episode_id) % 2**31)
@@ -65,16 +63,10 @@ class Agent:
             return STOP
         place, heading = observation.position, observation.heading
         seen = self._sensor.observe(place, heading)
-        frame = self._memory.see(seen, place[0], place[2], heading, observation.collided, self._last)
-        frames = {
-            "label": torch.from_numpy(frame.label)[None, None],
-            "room": torch.from_numpy(frame.room)[None, None],
-            "features": torch.from_numpy(frame.features)[None, None],
-            "own": torch.from_numpy(frame.own)[None, None],
-            "place": torch.tensor([[frame.place]]),
-        }
+        scanned = scan(self._renderer, place, heading)
+        frame = self._memory.see(seen, scanned, place, heading, observation.collided, self._last)
         with torch.no_grad():
-            logits, self._state = self._policy(self._read, frames, self._state)
+            logits, self._state = self._policy(self._read, frame_batch([frame_tensors([frame])]), self._state)
         odds = (logits[0, 0] / TEMPERATURE).softmax(0)
         self._last = int(torch.multinomial(odds, 1, generator=self._draws))
         return self._last

@@ -1,11 +1,12 @@
-"""A small recurrent policy over things seen and the words that name them."""
+"""A small policy over things seen and the words that name them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
 import torch
-from seen import FEATURES, LABELS, NOUNS, ROOMS, START, Text, words_of
+from seen import FEATURES, LABELS, NOUNS, OWN, ROOMS, START, Frame, Text, words_of
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -39,6 +40,30 @@ def text_batch(texts: list[Text], words: Words) -> dict[str, Tensor]:
     return {name: nn.utils.rnn.pad_sequence(rows, batch_first=True) for name, rows in columns.items()}
 
 
+class Recall(nn.Module):
+    """Attention of each frame to itself and the frames before it; a head looks less far back the steeper its slope."""
+
+    def __init__(self, size: int, heads: int = 4) -> None:
+        super().__init__()
+        self.heads = heads
+        self.first, self.second = nn.LayerNorm(size), nn.LayerNorm(size)
+        self.ask, self.answer = nn.Linear(size, 3 * size), nn.Linear(size, size)
+        self.mix = nn.Sequential(nn.Linear(size, size), nn.ReLU(), nn.Linear(size, size))
+        self.register_buffer("slopes", torch.tensor([0.0, 0.03, 0.2, 1.0])[:, None, None], persistent=False)
+
+    def forward(self, x: Tensor, past: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return the frames (b, t, size) with what they recall, and the keys and values of all frames so far."""
+        b, t, size = x.shape
+        asked = self.ask(self.first(x)).view(b, t, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        past = asked[1:] if past is None else torch.cat([past, asked[1:]], 3)
+        steps = torch.arange(past.shape[3])
+        ago = steps[-t:, None] - steps
+        bias = torch.where(ago < 0, -1e4, -self.slopes * ago)
+        found = functional.scaled_dot_product_attention(asked[0], past[0], past[1], bias)
+        x = x + self.answer(found.transpose(1, 2).reshape(b, t, size))
+        return x + self.mix(self.second(x)), past
+
+
 class Policy(nn.Module):
     """Instruction and frames → actions.
 
@@ -56,19 +81,21 @@ class Policy(nn.Module):
             for word in words_of(noun):
                 spelled[number, words.number.get(word, UNKNOWN)] += 1
         self.register_buffer("spelled", spelled / spelled.sum(1, keepdim=True).clamp(min=1), persistent=False)
-        self.kind = nn.Embedding(3, size)
+        self.kind = nn.Embedding(4, size)
         self.of_label, self.of_room = nn.Linear(2 * size, size), nn.Linear(size, size)
         self.of_features = nn.Linear(FEATURES, size)
         self.thing = nn.Sequential(nn.ReLU(), nn.Linear(size, size), nn.ReLU())
         self.pick = nn.Linear(size, heads)
         self.room = nn.Embedding(len(ROOMS), 16)
         self.last = nn.Embedding(START + 1, 16)
-        self.enter = nn.Linear((1 + heads) * size + 2 * size + 16 + 16 + 5, state)
-        self.memory = nn.GRU(state, state, batch_first=True)
+        self.around = nn.Sequential(nn.Linear(OWN, 64), nn.ReLU())
+        self.enter = nn.Linear((1 + heads) * size + 2 * size + 16 + 16 + 64, state)
+        self.memory = Recall(state)
         self.ask_words = nn.Linear(state, size)
         self.ask_things = nn.Linear(state + size, heads * size)
+        found = heads * (size + FEATURES)
         self.act = nn.Sequential(
-            nn.Linear(state + size + heads * (size + FEATURES), state), nn.ReLU(), nn.Dropout(0.1), nn.Linear(state, 4)
+            nn.Linear(state + size + found + 64, state), nn.ReLU(), nn.Dropout(0.1), nn.Linear(state, 4)
         )
         self.drop = nn.Dropout(0.1)
 
@@ -85,7 +112,7 @@ class Policy(nn.Module):
         room = room.scatter_add(1, text["word_room"][..., None].expand_as(words), words)
         label = torch.cat([label[:, :1] * 0, label[:, 1:]], 1)
         room = torch.cat([room[:, :1] * 0, room[:, 1:]], 1)
-        own = self.spelled @ self.embedding.weight + self.kind.weight[[0, 1, 2] + [0] * (len(LABELS) - 3)]
+        own = self.spelled @ self.embedding.weight + self.kind.weight[[0, 1, 2, 3] + [0] * (len(LABELS) - 4)]
         whole = torch.cat([words.amax(1), words[torch.arange(count), lengths - 1]], 1)
         return {
             "words": words,
@@ -117,7 +144,8 @@ class Policy(nn.Module):
         if self.training:
             # A network that sees the last action learns to repeat it, so half of the frames hide it.
             last = torch.where(torch.rand(last.shape) < 0.5, torch.full_like(last, START), last)
-        entered = torch.cat([picked, most, here, self.room(frames["place"][..., 0]), self.last(last), frames["own"]], 2)
+        around = self.around(frames["own"])
+        entered = torch.cat([picked, most, here, self.room(frames["place"][..., 0]), self.last(last), around], 2)
         text = read["whole"][:, None, : thing.shape[-1]].expand(-1, t, -1)
         out, state = self.memory(functional.relu(self.enter(torch.cat([entered, text], 2))), state)
         out = self.drop(out)
@@ -127,7 +155,14 @@ class Policy(nn.Module):
         share = torch.einsum("bthd,btnd->bthn", asked, thing) / thing.shape[-1] ** 0.5
         share = (share + closed[:, :, None]).softmax(3)
         found = torch.einsum("bthn,btnd->bthd", share, torch.cat([thing, frames["features"]], 3)).flatten(2)
-        return self.act(torch.cat([out, words, found], 2)), state
+        return self.act(torch.cat([out, words, found, around], 2)), state
+
+
+def frame_tensors(frames: list[Frame]) -> dict[str, Tensor]:
+    """Return the frames of a walk as tensors (t, …) of few bytes."""
+    kinds = {"label": np.int16, "room": np.int8, "features": np.float16, "own": np.float16, "place": np.int8}
+    columns = {name: np.stack([getattr(frame, name) for frame in frames]) for name in kinds}
+    return {name: torch.from_numpy(column.astype(kinds[name])) for name, column in columns.items()}
 
 
 def frame_batch(walks: list[dict[str, Tensor]]) -> dict[str, Tensor]:

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from network import frame_tensors
 from seen import START, Memory, Text
+from space import scan
 
 import condvln as cv
 from condvln.evaluation.scene_views import SceneViews
@@ -62,15 +64,17 @@ def with_mistakes(walked: Walked, episode, pathfinder, share: float, seed: int):
     return np.array(taken, np.int8), np.array(right)
 
 
-def frames_along(episode, walked: Walked, actions, pathfinder, sensor: TextSensor, text: Text):
+def frames_along(episode, walked: Walked, actions, pathfinder, view, text: Text):
     """Return the frames that an agent sees as it takes the actions."""
+    sensor = TextSensor(view.scene, view.renderer)
     poses = Follower(pathfinder).walk(episode.start_position, float(walked.headings[0]), actions)
     places = poses.positions.astype(np.float64)
     memory, last, frames = Memory(text), START, []
     for step, action in enumerate(actions):
         place, heading = places[step], float(poses.headings[step])
         collided = last == FORWARD and float(np.linalg.norm(place - places[step - 1])) < 0.249
-        frames.append(memory.see(sensor.observe(place, heading), place[0], place[2], heading, collided, last))
+        scanned = scan(view.renderer, place, heading)
+        frames.append(memory.see(sensor.observe(place, heading), scanned, place, heading, collided, last))
         last = int(action)
     return frames
 
@@ -83,12 +87,9 @@ def recorded(folder: Path, dataset: Path, kind: str, arguments, most: int | None
         chosen = generator(arguments.seed, "episodes").permutation(len(episodes))[:most]
         episodes = [episodes[k] for k in sorted(chosen.tolist())]
     views = SceneViews({episodes[0].source: dataset})
-    sensors: dict[str, TextSensor] = {}
     for episode in sorted(episodes, key=lambda one: one.scene_id):
         name = f"{episode.source}/{episode.scene_id}"
         view, pathfinder = views(name), export.pathfinder(episode)
-        if name not in sensors:
-            sensors = {name: TextSensor(view.scene, view.renderer)}
         goal = view.scene.object_of[episode.program.leaves[episode.gold_leaf].goal.object_id].center
         walks = {
             "looking": looking_walk(episode, pathfinder, config),
@@ -98,17 +99,13 @@ def recorded(folder: Path, dataset: Path, kind: str, arguments, most: int | None
             continue
         walked, text = walks[kind], Text.of(episode.instruction_text)
         actions, right = with_mistakes(walked, episode, pathfinder, arguments.mistakes, arguments.seed)
-        frames = frames_along(episode, walked, actions, pathfinder, sensors[name], text)
+        frames = frames_along(episode, walked, actions, pathfinder, view, text)
         yield {
             "text": episode.instruction_text,
             "episode": str(episode.episode_id),
             "actions": torch.tensor(actions.astype(np.int8)),
             "right": torch.tensor(right),
-            "label": torch.tensor(np.stack([one.label for one in frames]).astype(np.int16)),
-            "room": torch.tensor(np.stack([one.room for one in frames]).astype(np.int8)),
-            "features": torch.tensor(np.stack([one.features for one in frames]).astype(np.float16)),
-            "own": torch.tensor(np.stack([one.own for one in frames])),
-            "place": torch.tensor([one.place for one in frames], dtype=torch.int8),
+            **frame_tensors(frames),
         }
 
 

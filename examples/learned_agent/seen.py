@@ -8,21 +8,23 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from space import SPACE, Space
 
 from condvln.labels import vocabulary
 from condvln.sensors import TextObservation
 
-LABELS = ("", "<visited>", "<bump>", *sorted(vocabulary.labels))
-NOUNS = ("", "", "", *(vocabulary.entry(label).noun for label in LABELS[3:]))
+LABELS = ("", "<visited>", "<bump>", "<edge>", *sorted(vocabulary.labels))
+NOUNS = ("", "", "", "", *(vocabulary.entry(label).noun for label in LABELS[4:]))
 """The word of each label in texts."""
 ROOMS = ("", *sorted(vocabulary.room_labels))
 LABEL_NUMBER = {name: k for k, name in enumerate(LABELS)}
 ROOM_NUMBER = {name: k for k, name in enumerate(ROOMS)}
-VISITED, BUMP = 1, 2
+VISITED, BUMP, EDGE = 1, 2, 3
 
 KEPT = 16
 """Number of remembered things in a frame; those that the text mentions come first, then those in view."""
-FEATURES = 10
+FEATURES = 14
+OWN = 5 + SPACE
 SAME = 1.5
 """Metres between two sightings of one label that count as one thing."""
 START = 4
@@ -40,7 +42,7 @@ def words_of(text: str) -> list[str]:
 def _names() -> dict[str, list[tuple[tuple[str, ...], int, int]]]:
     """Return by first word: all words of a name, its label's number and its room's number, the longest name first."""
     found: dict[tuple[str, ...], list[int]] = {}
-    for number, noun in enumerate(NOUNS[3:], 3):
+    for number, noun in enumerate(NOUNS[4:], 4):
         found.setdefault(tuple(words_of(noun)), [0, 0])[0] = number
     for number, room in enumerate(ROOMS[1:], 1):
         found.setdefault(tuple(words_of(room)), [0, 0])[1] = number
@@ -78,7 +80,8 @@ class Text:
 class Frame:
     """What the network gets at one step.
 
-    label, room : (KEPT,) of the things; features : (KEPT, FEATURES); own : (5,) of the agent; place : room, last action
+    label, room : (KEPT,) of the things; features : (KEPT, FEATURES); own : (OWN,) of the agent; place : its room and
+    last action
     """
 
     label: np.ndarray
@@ -91,32 +94,36 @@ class Frame:
 class Memory:
     """The things seen so far in an episode, the places visited, and where the agent bumped into something.
 
-    It knows what the text sensor says and the agent's own pose, and nothing else.
+    It knows what the text sensor and the scanner say and the agent's own pose, and nothing else.
     """
 
     def __init__(self, text: Text) -> None:
         self._labels, self._rooms = set(text.label[text.label > 0].tolist()), set(text.room[text.room > 0].tolist())
         self._things: list[list[float]] = []  # label, room, x, z, step of the last sighting
+        self._space = Space()
         self._step = 0
         self._heading: float | None = None
 
-    def see(self, seen: TextObservation, x: float, z: float, heading: float, collided: bool, last: int) -> Frame:
+    def see(
+        self, seen: TextObservation, scanned: np.ndarray, place: np.ndarray, heading: float, collided: bool, last: int
+    ) -> Frame:
         """Add what is seen from a pose after an action, and return the frame."""
+        x, z, here = float(place[0]), float(place[2]), ROOM_NUMBER.get(seen.room or "", 0)
         if self._heading is None:
             self._heading = heading
         for thing in seen.things:
             angle = heading - math.radians(thing.bearing)
             there = x - math.sin(angle) * thing.distance, z - math.cos(angle) * thing.distance
             self._add(LABEL_NUMBER[thing.label], ROOM_NUMBER.get(thing.room or "", 0), *there, SAME)
-        self._add(VISITED, ROOM_NUMBER.get(seen.room or "", 0), x, z, 1.0)
+        self._add(VISITED, here, x, z, 1.0)
         if collided:
             self._add(BUMP, 0, x - math.sin(heading) * 0.3, z - math.cos(heading) * 0.3, 0.2)
         turned = heading - self._heading
-        own = np.array([math.sin(turned), math.cos(turned), self._step / 100, collided, len(self._things) / 20])
-        here = ROOM_NUMBER.get(seen.room or "", 0)
-        frame = self._frame(x, z, heading, here, own)
+        own = [math.sin(turned), math.cos(turned), self._step / 100, collided, len(self._things) / 20]
+        around = self._space.see(scanned, x, z, heading, collided)
+        frame = self._frame(x, z, heading, here)
         self._step += 1
-        return Frame(*frame, own.astype(np.float32), (here, last))
+        return Frame(*frame, np.array([*own, *around], np.float32), (here, last))
 
     def _add(self, label: int, room: int, x: float, z: float, same: float) -> None:
         near, best = None, same
@@ -131,18 +138,30 @@ class Memory:
             # A place visited keeps its position, so that the trail has one every metre.
             near[2:] = [near[2], near[3], self._step] if label == VISITED else [x, z, self._step]
 
-    def _frame(self, x: float, z: float, heading: float, here: int, own: np.ndarray) -> tuple[np.ndarray, ...]:
-        all_of = np.array(self._things)
+    def _edges(self) -> list[list[float]]:
+        """Return where the known free space ends, as things of the room of the nearest thing."""
+        found: list[list[float]] = []
+        for x, z in self._space.edges():
+            near = min(self._things, key=lambda one: math.hypot(one[2] - x, one[3] - z))
+            room = near[1] if math.hypot(near[2] - x, near[3] - z) < 2.5 else 0
+            found.append([EDGE, room, x, z, self._step])
+        return found
+
+    def _frame(self, x: float, z: float, heading: float, here: int) -> tuple[np.ndarray, ...]:
+        all_of = np.array([*self._things, *self._edges()])
         label, room = all_of[:, 0].astype(np.int64), all_of[:, 1].astype(np.int64)
         across, along = all_of[:, 2] - x, all_of[:, 3] - z
         sine, cosine = math.sin(heading), math.cos(heading)
         right, ahead = across * cosine - along * sine, -across * sine - along * cosine
         far = np.maximum(np.hypot(right, ahead), 1e-3)
         age = self._step - all_of[:, 4]
-        is_thing = label > BUMP
+        is_thing = label > EDGE
         named = is_thing & np.isin(label, [*self._labels])
         rank = 4.0 * named + 2.0 * (is_thing & (age == 0)) + 1.0 * np.isin(room, [*self._rooms]) + 1.5 * ~is_thing
-        order = np.lexsort((age, far, -np.where(~is_thing & (far > 4), 0.0, rank)))[:KEPT]
+        rank[~is_thing & (far > 4)] = 0
+        rank[label == EDGE] = 3.5
+        order = np.lexsort((age, far, -rank))[:KEPT]
+        way, way_x, way_z = self._space.ways(all_of[:, 2], all_of[:, 3])
         gap = np.full(len(label), 9.0)
         mentioned = np.flatnonzero(named)
         if len(mentioned) > 1:
@@ -150,21 +169,11 @@ class Memory:
             between = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
             between[label[mentioned][:, None] == label[mentioned][None]] = 9.0
             gap[mentioned] = between.min(axis=1)
-        features = np.stack(
-            [
-                right / far,
-                ahead / far,
-                np.minimum(far, 10) / 5,
-                np.exp(-far),
-                np.exp(-far / 3),
-                age == 0,
-                np.minimum(age, 60) / 60,
-                np.exp(-gap),
-                (room == here) & (room > 0),
-                named,
-            ],
-            axis=1,
-        )
+        columns = [right / far, ahead / far, np.minimum(far, 10) / 5, np.exp(-far), np.exp(-far / 3), age == 0]
+        columns += [np.minimum(age, 60) / 60, np.exp(-gap), (room == here) & (room > 0), named]
+        columns += [np.minimum(way, 15) / 5, np.exp(-way)]
+        columns += [way_x * cosine - way_z * sine, -way_x * sine - way_z * cosine]
+        features = np.stack(columns, axis=1)
         out_label, out_room = np.zeros((2, KEPT), np.int64)
         out = np.zeros((KEPT, FEATURES), np.float32)
         count = len(order)

@@ -8,16 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-SHOWN = {
-    "success": "SR",
-    "csr_all": "CSR-all",
-    "bsa_all": "BSA-all",
-    "spl": "SPL",
-    "spl_look": "SPL-look",
-    "justified": "justified",
-    "leaf_correct": "right leaf",
-    "wrong_branch": "wrong branch",
-}
+SHOWN = {"success": "SR", "csr_all": "CSR-all", "bsa_all": "BSA-all", "spl": "SPL", "spl_look": "SPL-look"}
+SHOWN |= {"justified": "justified", "leaf_correct": "right leaf", "wrong_branch": "wrong branch"}
 COLOURS = {"direct": "#c0392b", "looking": "#1f6f8b"}
 
 
@@ -43,11 +35,9 @@ def rows_of(out: Path) -> list[dict]:
             row = json.loads(line)
             name, _, seed = row["agent"].rpartition("-")
             kind, seed = (f"{name} walks", seed) if seed.isdigit() else (row["agent"], "")
-            scene, group = f"{test}/{row['scene_id']}", groups[str(row["episode_id"])]
-            place = row["observability"][:2]  # O0f is a part of O0
-            rows.append(
-                row | {"kind": kind, "seed": seed, "test": test, "scene": scene, "group": group, "where": place}
-            )
+            row |= {"kind": kind, "seed": seed, "test": test, "group": groups[str(row["episode_id"])]}
+            row |= {"scene": f"{test}/{row['scene_id']}", "where": row["observability"][:2]}  # O0f is a part of O0
+            rows.append(row)
     return rows
 
 
@@ -86,11 +76,11 @@ def curves(out: Path, svg: Path) -> None:
     logs = {path.parent.name: json.loads(path.read_text()) for path in sorted(out.glob("nets/*/log.json"))}
     most, epochs = 1.4, max(len(log) for log in logs.values())
     parts = ['<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 340" font-family="sans-serif" font-size="13">']
-    parts.append('<rect width="640" height="340" fill="white"/>')
+    parts.append('<rect width="640" height="340" fill="white"/><text x="560" y="330">epoch</text>')
     for level in np.arange(0.2, most + 0.01, 0.2):
         y = 290 - 260 * level / most
         parts.append(f'<path d="M60 {y:.0f}H610" stroke="#ddd"/><text x="28" y="{y + 4:.0f}">{level:.1f}</text>')
-    for epoch in range(1, epochs + 1):
+    for epoch in range(1, epochs + 1, 1 + epochs // 20):
         parts.append(f'<text x="{55 + 550 * (epoch - 1) / (epochs - 1):.0f}" y="310">{epoch}</text>')
     for name, log in logs.items():
         colour = COLOURS[name.rpartition("-")[0]]
@@ -102,8 +92,7 @@ def curves(out: Path, svg: Path) -> None:
             parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="{width}"/>')
     for k, (name, colour) in enumerate(COLOURS.items()):
         parts.append(f'<text x="430" y="{40 + 18 * k}" fill="{colour}">{name} walks</text>')
-    parts.append('<text x="60" y="20">loss: thin in training, thick in other houses</text>')
-    parts.append('<text x="560" y="330">epoch</text></svg>')
+    parts.append('<text x="60" y="20">loss: thin in training, thick in other houses</text></svg>')
     svg.write_text("\n".join(parts) + "\n")
 
 
