@@ -28,6 +28,7 @@ from jobs.agents import datasets_of
 from jobs.configuration import load_config
 from jobs.export_origin import config_of
 from jobs.pipeline import BYTES_BASE, open_configured, scene_payload
+from jobs.settings import export_folder
 from schemas.canonical import digest
 from schemas.config import CameraConfig, Config, SourceConfig, TrajectoryConfig
 from schemas.errors import FormatError, InputError, MissingFileError, ProofError, UsageError
@@ -241,9 +242,7 @@ def find_split(text: str, split: str, scenes: Sequence[str] = (), overrides: Seq
         config = config_of(export, datasets_of(scenes))
     else:
         config = load_config(path, overrides)
-        if config.export is None:
-            raise UsageError("the configuration names no export", where=path, place="export", remedy="Set export: DIR.")
-        export = config.export
+        export = export_folder(config, path)
     known = [found.stem for found in manifest_paths(export)]
     if split not in known:
         raise UsageError(
