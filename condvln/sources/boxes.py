@@ -267,7 +267,6 @@ def _object(document: BoxScene, item: BoxObject, own: str) -> SceneObject:
         center=round_mm(box.center),
         aabb=aabb,
         obb=rounded_box(box),
-        size=round_mm(aabb[1] - aabb[0]),
         radius=float(np.ceil(np.linalg.norm(size) / 2 * 1000) / 1000),
     )
 

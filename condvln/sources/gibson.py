@@ -251,7 +251,6 @@ def _objects(
                 label=vocabulary.canonical(raw, family),
                 center=centre,
                 aabb=aabb,
-                size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
                 radius=None if box is None else float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
             )
         )

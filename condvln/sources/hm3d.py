@@ -322,7 +322,6 @@ def _objects(instances: Sequence[_Instance], paint: Paint, family: str) -> tuple
                 center=round_mm((box[0] + box[1]) / 2),
                 # The paint of a wall may go round a room, so that a box would fill the room.
                 aabb=None if building else box,
-                size=None if building else round_mm(box[1] - box[0]),
                 radius=float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
             )
         )

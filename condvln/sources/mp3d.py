@@ -192,7 +192,6 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
                 center=round_mm(Z_UP_TO_HABITAT @ entry.centre),
                 aabb=aabb,
                 obb=None if box is None else rounded_box(box),
-                size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
                 radius=float(np.ceil(np.linalg.norm(entry.half_lengths) * 1000) / 1000) if sized else None,
             )
         )
@@ -311,7 +310,6 @@ def _joined(slices: Sequence[SceneObject]) -> SceneObject:
         center=round_mm(aabb.mean(axis=0) if box is None else box.center),
         aabb=aabb,
         obb=box,
-        size=round_mm(aabb[1] - aabb[0]),
         radius=float(np.ceil(np.linalg.norm(half) * 1000) / 1000),
     )
 

@@ -395,7 +395,6 @@ class ProcthorSource(Source):
             center=centre,
             aabb=aabb,
             obb=rounded_box(box),
-            size=round_mm(aabb[1] - aabb[0]),
             radius=float(np.ceil(np.linalg.norm(asset.size) / 2 * 1000) / 1000),
             static=item.kinematic,
             parts=counter_parts(item.asset_id, item.position, asset.size, item.rotation),

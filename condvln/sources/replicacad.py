@@ -86,17 +86,9 @@ class ReplicaCadSource(Source):
         rooms = self._rooms(scene_id, assembly, objects)
         objects, lost = in_rooms(objects, rooms)
         unnamed = {o.room_id for o in objects if o.raw_label == UNKNOWN_LABEL}
-        return Scene(
-            family=self.family,
-            scene_id=scene_id,
-            root=self.root,
-            # If some object has no label, no absence can be claimed.
-            rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms),
-            objects=tuple(sorted(objects, key=lambda o: o.object_id)),
-            shipped_navmeshes=assembly.navmeshes,
-            stage=assembly.stage,
-            warnings=tuple(sorted({*assembly.warnings, *lost}, key=lambda w: (w.code, w.where, w.message))),
-        )
+        # If some object has no label, no absence can be claimed.
+        rooms = tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms)
+        return self.made(scene_id, rooms, objects, [*assembly.warnings, *lost], assembly.navmeshes, assembly.stage)
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
         """Return the meshes of the stage and of all objects; see `Source.geometry`. None if the stage's mesh is
@@ -175,7 +167,6 @@ class ReplicaCadSource(Source):
             center=centre,
             aabb=aabb,
             obb=None if obb is None else rounded_box(obb),
-            size=round_mm(aabb[1] - aabb[0]),
             radius=float(np.ceil(np.linalg.norm(world - centre, axis=1).max() * 1000) / 1000),
             mesh=parts,
             static=body.placed.static,

@@ -79,7 +79,6 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
             center=round_mm(centre if box is None else box.mean(axis=0)),
             aabb=aabb,
             obb=None if box is None else _oriented(node),
-            size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
             radius=None if box is None else float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
             receptacles=_receptacles(node),
             openness=_openness(node),
