@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,8 +58,7 @@ def round_mm(values: ArrayLike) -> F64:
     return rounded
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class OrientedBox:
+class OrientedBox(NamedTuple):
     """An oriented box: center (3,), half_extents (3,) in metres; rotation (3, 3) with the box's axes as columns."""
 
     center: F64
@@ -119,6 +118,18 @@ class SceneObject:
     def box(self) -> F64 | None:
         """The axis-aligned box (2, 3) in metres: `aabb`."""
         return self.aabb
+
+    @property
+    def solids(self) -> tuple[OrientedBox, ...]:
+        """The boxes that stand for the object: its parts, otherwise its oriented box, otherwise its upright one."""
+        if self.parts:
+            return self.parts
+        if self.obb is not None:
+            return (self.obb,)
+        if self.aabb is None:
+            return ()
+        low, high = self.aabb
+        return (OrientedBox((low + high) / 2, (high - low) / 2, np.eye(3)),)
 
     @property
     def size(self) -> F64 | None:

@@ -5,7 +5,6 @@ Boxes are axis-aligned in the mesh's z-up frame; ``floor_area`` in the files is 
 
 from __future__ import annotations
 
-import posixpath
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
-from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene import Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.rotations import Z_UP_TO_HABITAT
 from condvln.sources.regions import LEVEL_STEP, in_rooms
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
@@ -66,30 +65,19 @@ class GibsonSource(ScanSource):
             named = {node["id"].integer() for node in nodes if node.get("floor_number") is not None}
             room_of, off_level = _with_floors_of_levels(room_of, named)
         rooms = tuple(room_of.values())
-        if drawn := self.drawn_rooms([posixpath.basename(scene_id)], ledger):
+        if drawn := self.drawn_rooms(self.names(scene_id, path), ledger):
             rooms, room_of, left_out, off_level = drawn, {}, {}, []
         items, warnings = _objects(document, self.family, room_of, left_out)
         rooms = rooms or (_whole(items, self.family, complete),)
         placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
         placed += [o for o in items if o.room_id]
-        stage, navmeshes = self._beside(scene_id, path, ledger)
+        stage, navmeshes = self.beside(scene_id, path, ledger)
         said = [*warnings, *lost, *left_out.values(), *off_level]
         return self.made(scene_id, rooms, placed, said, navmeshes, stage)
 
-    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        """See `ScanSource.note`."""
-        ledger.file(path)
-        self.drawn_rooms([posixpath.basename(scene_id)], ledger)
-        self._beside(scene_id, path, ledger)
-
-    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the building's mesh and the possible paths of its navmesh. Both are looked for beside the annotation
-        and in the root folder.
-        """
-        name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
-        folders = list(dict.fromkeys([folder, ""]))
-        bare = [posixpath.join(folder, name) for folder in folders]
-        return self.scan_files(name, [f"{b}.glb" for b in bare], [f"{b}.navmesh" for b in bare], ledger)
+    def folders(self, folder: str) -> list[str]:
+        """Return the folder of the annotation and the root folder; see `ScanSource.folders`."""
+        return [folder, ""]
 
     def scans(self) -> dict[str, str]:
         """Return the path of each building's annotation by scene id, sorted."""

@@ -116,7 +116,7 @@ class Hm3dSource(ScanSource):
             said.append(SceneWarning("unpainted_area", mesh, message))
         items, unseen = _objects(instances, paint, self.family)
         said += unseen
-        if drawn := self.drawn_rooms([posixpath.basename(scene_id), _scan(path)], ledger):
+        if drawn := self.drawn_rooms(self.names(scene_id, path), ledger):
             items, lost = in_rooms(items, drawn)
             rooms = drawn
         else:
@@ -126,16 +126,14 @@ class Hm3dSource(ScanSource):
             items = [item for item in items if item.room_id in known] + placed
             rooms = typed_by_contents(rooms, items)
         check_limits(Scene(self.family, scene_id, self.root, rooms, tuple(items)), self.options.limits)
-        stage, navmeshes = self._beside(path, ledger)
+        stage, navmeshes = self.beside(scene_id, path, ledger)
         return self.made(scene_id, rooms, items, [*said, *lost], navmeshes, stage)
 
     def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        """See `ScanSource.note`."""
-        ledger.file(path)
+        """See `FileSource.note`."""
+        super().note(scene_id, path, ledger)
         ledger.file(self._painted(path))
-        self.drawn_rooms([posixpath.basename(scene_id), _scan(path)], ledger)
         self._proposals(scene_id, ledger)
-        self._beside(path, ledger)
         instances = self._instances(path)
         ledger.objects = len(instances)
         ledger.rooms = len({one.region for one in instances} - {NO_REGION})
@@ -166,7 +164,11 @@ class Hm3dSource(ScanSource):
     def _instances(self, path: str) -> list[_Instance]:
         return _read_list(self.files.read(path, MAX_LIST_BYTES), str(self.root / path))
 
-    def _beside(self, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+    def names(self, scene_id: str, path: str) -> list[str]:
+        """Return the names of the scan in the release and of its files; see `FileSource.names`."""
+        return [posixpath.basename(scene_id), _scan(path)]
+
+    def beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
         """Return the scan's mesh and the possible paths of its navmesh. Where the mesh with photographs is not there,
         the painted one has the same faces.
         """

@@ -28,7 +28,7 @@ from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.kept import kept
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
-from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene.boxes import with_box
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.procthor_house import FILE_NAMES, Asset, AssetDatabase, House, HouseObject, read_house
 from condvln.sources.procthor_solids import counter_parts, house_structure
@@ -371,36 +371,20 @@ class ProcthorSource(Source):
         if raw is None:
             prefix = item.object_id.split("|")[0]
             raw = prefix if prefix in vocabulary.raw_labels(self.family) else UNKNOWN_LABEL
-        label = vocabulary.canonical(raw, self.family)
-        centre = round_mm(item.position)
-        receptacles = () if item.parent_id is None else (item.parent_id,)
-        if asset is None or asset.size is None:
-            return SceneObject(
-                item.object_id,
-                "",
-                raw,
-                label,
-                centre,
-                static=item.kinematic,
-                receptacles=receptacles,
-                openness=item.openness,
-            )
-        box = OrientedBox(item.position, asset.size / 2, item.rotation)
-        aabb = round_mm(aabb_of(box_corners(box)))
-        return SceneObject(
+        found = SceneObject(
             object_id=item.object_id,
             room_id="",
             raw_label=raw,
-            label=label,
-            center=centre,
-            aabb=aabb,
-            obb=rounded_box(box),
-            radius=float(np.ceil(np.linalg.norm(asset.size) / 2 * 1000) / 1000),
+            label=vocabulary.canonical(raw, self.family),
+            center=round_mm(item.position),
             static=item.kinematic,
-            parts=counter_parts(item.asset_id, item.position, asset.size, item.rotation),
-            receptacles=receptacles,
+            receptacles=() if item.parent_id is None else (item.parent_id,),
             openness=item.openness,
         )
+        if asset is None or asset.size is None:
+            return found
+        parts = counter_parts(item.asset_id, item.position, asset.size, item.rotation)
+        return replace(with_box(found, OrientedBox(item.position, asset.size / 2, item.rotation)), parts=parts)
 
 
 def _with_parents_rooms(

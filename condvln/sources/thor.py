@@ -9,9 +9,7 @@ from __future__ import annotations
 import posixpath
 import re
 from abc import abstractmethod
-from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
@@ -20,10 +18,10 @@ from condvln.labels import vocabulary
 from condvln.scene import Room, Scene, SceneWarning
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.regions import in_rooms
-from condvln.sources.scene_source import Note, Source, SourceOptions
+from condvln.sources.scene_source import FileSource, SourceOptions
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects, scene_name, thor_geometry
-from schemas.errors import ConfigError, InputError
+from schemas.errors import InputError
 
 __all__ = [
     "IthorSource",
@@ -41,7 +39,7 @@ reported.
 """
 
 
-class ThorSceneSource(Source):
+class ThorSceneSource(FileSource):
     """Files ``<scene>.json`` of a folder and its direct subfolders, each with the controller metadata of one scene.
 
     The floor is at height 0 (the simulator's agent stands there). Rooms come from a side file if given; otherwise the
@@ -52,24 +50,18 @@ class ThorSceneSource(Source):
     annotation: ClassVar[Literal["dataset", "scene"]]
     """Whether the dataset treats the scene as a room, or only as a whole scene."""
 
+    nothing: ClassVar[tuple[str, str]] = (
+        "controller metadata (<scene>.json)",
+        "Save controller.last_event.metadata of each scene there, or correct the source's 'root'",
+    )
+
     def __init__(self, root: Path, options: SourceOptions) -> None:
-        super().__init__(root, options)
         self._known: dict[str, tuple[tuple[int, int], bool]] = {}
-        if not self._scenes():
-            raise ConfigError(
-                "no controller metadata (<scene>.json) is in this folder",
-                where=root,
-                remedy="Save controller.last_event.metadata of each scene there, or correct the source's 'root'",
-            )
+        super().__init__(root, options)
 
     @abstractmethod
     def room_label(self, document: JsonNode) -> str:
         """Return the raw label of the scene's one room, from the scene's name."""
-
-    def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `Source.listing`."""
-        for scene_id, path in self._scenes().items():
-            yield scene_id, partial(self._note, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
         """Return one scene; see `Source.read`."""
@@ -104,15 +96,10 @@ class ThorSceneSource(Source):
         return thor_geometry(document, read_objects(document, self.family), number, self.annotation == "dataset")
 
     def _document(self, scene_id: str) -> JsonNode:
-        path = self.path_of(scene_id, self._scenes())
+        path = self.path_of(scene_id, self.scans())
         return parse_json(self.files.read(path, MAX_METADATA_BYTES), str(self.root / path)).object()
 
-    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        ledger.file(path)
-        self.drawn_rooms([posixpath.basename(scene_id)], ledger)
-        self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
-
-    def _scenes(self) -> dict[str, str]:
+    def scans(self) -> dict[str, str]:
         """Return the path of each scene's metadata by scene id, sorted; the subfolder is part of the id."""
         found: dict[str, str] = {}
         for path in self.matching("*.json", "*/*.json"):
