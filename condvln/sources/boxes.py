@@ -27,7 +27,7 @@ from condvln.scene.rotations import Z_UP_TO_HABITAT, rotation_y
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.procthor_house import HouseWall, Opening
 from condvln.sources.procthor_solids import walls_with_openings
-from condvln.sources.regions import in_rooms, levelled
+from condvln.sources.regions import in_rooms, levelled, made_room
 from condvln.sources.scene_source import FileSource, Note
 from condvln.sources.solids import Piece, floor, joined, object_boxes
 from condvln.sources.source import MAX_OBJECTS, InputLedger
@@ -210,16 +210,12 @@ class BoxesSource(FileSource):
     def _rooms(self, document: BoxScene) -> tuple[Room, ...]:
         return levelled(
             tuple(
-                Room(
-                    room_id=own,
-                    raw_label=room.label,
-                    label=vocabulary.room_type(room.label, self.family),
-                    level=0,
-                    floor_y=float(round_mm(room.floor)),
-                    ceiling_y=float(round_mm(room.floor + room.height)),
-                    polygon=round_mm([document.ground(corner) for corner in room.polygon]),
-                    annotation="dataset",
-                    complete=True,
+                made_room(
+                    self.family,
+                    own,
+                    room.label,
+                    (room.floor, room.floor + room.height),
+                    round_mm([document.ground(corner) for corner in room.polygon]),
                 )
                 for room, own in zip(document.rooms, _ids(document.rooms), strict=True)
             )

@@ -14,7 +14,7 @@ import posixpath
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Final
 
@@ -31,7 +31,7 @@ from condvln.scene.rotations import Z_UP_TO_HABITAT
 from condvln.scene.scene import check_limits
 from condvln.sources.family import FAMILIES
 from condvln.sources.painted_mesh import Paint, read_paint
-from condvln.sources.regions import in_rooms, levelled, typed_by_contents
+from condvln.sources.regions import in_rooms, levelled, made_room, typed_by_contents
 from condvln.sources.scene_source import ScanSource
 from condvln.sources.source import MAX_OBJECTS, UNKNOWN_LABEL, InputLedger
 from schemas.errors import FormatError, MissingFileError
@@ -358,17 +358,10 @@ def _room(region: int, proposal: str, held: Mapping[int, str | None], paint: Pai
     ceiling_y = _median(paint.low[ceiling, 1], paint.area[ceiling]) if len(ceiling) else top
     # The proposal does not tell them apart, and a stairwell is no hallway.
     untold = proposal.startswith(TIE) or (proposal == HALL and STEPS in held.values())
-    return Room(
-        room_id=_room_id(region),
-        raw_label=proposal,
-        label=vocabulary.room_type(UNTYPED if untold else proposal, family),
-        level=0,
-        floor_y=float(round_mm(floor_y)),
-        ceiling_y=float(round_mm(ceiling_y if ceiling_y > floor_y else max(top, floor_y))),
-        polygon=outline,
-        annotation="dataset",
-        complete=None not in held.values(),
-    )
+    heights = floor_y, ceiling_y if ceiling_y > floor_y else max(top, floor_y)
+    named = UNTYPED if untold else proposal
+    room = made_room(family, _room_id(region), named, heights, outline, complete=None not in held.values())
+    return replace(room, raw_label=proposal)
 
 
 def _median(heights: F64, areas: F64) -> float:

@@ -22,7 +22,7 @@ from condvln.scene.boxes import box_corners, rounded_box, with_box
 from condvln.scene.rotations import Z_UP_TO_HABITAT
 from condvln.scene.scene import check_limits
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
-from condvln.sources.regions import in_rooms, typed_by_contents
+from condvln.sources.regions import in_rooms, made_room, typed_by_contents
 from condvln.sources.scene_source import ScanSource
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from schemas.errors import FormatError
@@ -145,17 +145,8 @@ def _room(region: HouseRegion, family: str, where: str) -> Room:
             )
         largest = max(parts, key=lambda p: float(p.area))
         corners = round_mm(np.array(largest.exterior.coords)[:-1])
-    return Room(
-        room_id=f"region_{region.index}",
-        raw_label=region.label,
-        label=vocabulary.room_type(region.label, family),
-        level=region.level,
-        floor_y=float(round_mm(region.floor)),
-        ceiling_y=float(round_mm(region.floor + region.height)),
-        polygon=corners,
-        annotation="dataset",
-        complete=True,
-    )
+    heights = region.floor, region.floor + region.height
+    return made_room(family, f"region_{region.index}", region.label, heights, corners, level=region.level)
 
 
 def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[list[SceneObject], list[SceneWarning]]:

@@ -32,7 +32,7 @@ from condvln.scene.boxes import with_box
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.procthor_house import FILE_NAMES, Asset, AssetDatabase, House, HouseObject, read_house
 from condvln.sources.procthor_solids import counter_parts, house_structure
-from condvln.sources.regions import check_polygon, in_rooms
+from condvln.sources.regions import check_polygon, in_rooms, made_room
 from condvln.sources.replicacad import Assembly, ReplicaCadSource
 from condvln.sources.scene_source import Note, SceneChoice, Source, SourceOptions
 from condvln.sources.solids import joined, object_boxes
@@ -349,16 +349,12 @@ class ProcthorSource(Source):
             tops[wall.room_id] = max(tops[wall.room_id], wall.top)
         highest = max(tops.values(), default=0.0)
         return tuple(
-            Room(
-                room_id=room.room_id,
-                raw_label=room.room_type,
-                label=vocabulary.room_type(room.room_type, self.family),
-                level=0,
-                floor_y=0.0,
-                ceiling_y=float(round_mm(tops.get(room.room_id, highest))),
-                polygon=check_polygon(room.polygon, room.node["floorPolygon"]),
-                annotation="dataset",
-                complete=True,
+            made_room(
+                self.family,
+                room.room_id,
+                room.room_type,
+                (0.0, tops.get(room.room_id, highest)),
+                check_polygon(room.polygon, room.node["floorPolygon"]),
             )
             for room in house.rooms
         )

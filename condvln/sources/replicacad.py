@@ -23,7 +23,7 @@ from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, roun
 from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
 from condvln.scene.meshes import shared_library
 from condvln.scene.scene import SceneGeometry
-from condvln.sources.regions import in_rooms, read_regions
+from condvln.sources.regions import in_rooms, made_room, read_regions
 from condvln.sources.scene_dataset import Lexicon, SceneDataset, Template, read_descriptors
 from condvln.sources.scene_instance import Body, BodyReader, Placed, SceneInstance, read_scene_instance
 from condvln.sources.scene_source import Note, Source, SourceOptions
@@ -78,9 +78,7 @@ class ReplicaCadSource(Source):
     def scene(self, scene_id: str) -> Scene:
         """Return one scene; see `Source.read`. Shared files are read again, so that corrections take effect."""
         dataset = SceneDataset(self.files)
-        path = dataset.scenes().get(scene_id)
-        if path is None:
-            raise self.not_there(scene_id)
+        path = self.path_of(scene_id, dataset.scenes())
         assembly = self._assemble(dataset, scene_id, path, InputLedger())
         objects = self._objects(assembly.bodies)
         rooms = self._rooms(scene_id, assembly, objects)
@@ -178,17 +176,8 @@ def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:
     boxes = np.array([o.aabb for o in objects if o.aabb is not None]).reshape(-1, 2, 3)
     bottoms, tops = boxes[:, 0, 1], boxes[:, 1, 1]
     standing = bottoms[bottoms <= bottoms.min(initial=np.inf) + FLOOR_BAND]
-    return Room(
-        room_id=WHOLE_SCENE,
-        raw_label=WHOLE_SCENE,
-        label=vocabulary.room_type(WHOLE_SCENE, family),
-        level=0,
-        floor_y=float(round_mm(np.median(standing))) if len(boxes) else 0.0,
-        ceiling_y=float(tops.max(initial=0.0)),
-        polygon=None,
-        annotation="scene",
-        complete=True,
-    )
+    heights = float(np.median(standing)) if len(boxes) else 0.0, float(tops.max(initial=0.0))
+    return made_room(family, WHOLE_SCENE, WHOLE_SCENE, heights, None, annotation="scene")
 
 
 TABLE: Final = "semantics/objects.csv"

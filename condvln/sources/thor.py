@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import ClassVar, Final, Literal
 
 from condvln.formats.json_document import JsonNode, parse_json
-from condvln.labels import vocabulary
-from condvln.scene import Room, Scene, SceneWarning
+from condvln.scene import Scene, SceneWarning
 from condvln.scene.scene import SceneGeometry
-from condvln.sources.regions import in_rooms
+from condvln.sources.regions import in_rooms, made_room
 from condvln.sources.scene_source import FileSource, SourceOptions
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects, scene_name, thor_geometry
@@ -71,17 +70,8 @@ class ThorSceneSource(FileSource):
         items = read_objects(document, self.family)
         rooms = self.drawn_rooms([posixpath.basename(scene_id)], ledger)
         tops = [float(o.aabb[1, 1]) for o in items if o.aabb is not None]
-        whole = Room(
-            room_id=WHOLE_SCENE,
-            raw_label=label,
-            label=vocabulary.room_type(label, self.family),
-            level=0,
-            floor_y=0.0,
-            ceiling_y=max(tops, default=0.0),
-            polygon=floor_outline(document),
-            annotation=self.annotation,
-            complete=True,
-        )
+        heights, outline = (0.0, max(tops, default=0.0)), floor_outline(document)
+        whole = made_room(self.family, WHOLE_SCENE, label, heights, outline, annotation=self.annotation)
         placed, lost = in_rooms(items, rooms) if rooms else ([replace(o, room_id=WHOLE_SCENE) for o in items], [])
         lost += [
             SceneWarning("no_box", o.object_id, "its size is negative: extent unknown") for o in items if o.aabb is None
