@@ -233,6 +233,16 @@ def test_leads_without_an_outline_are_said_to_be_points() -> None:
         assert ["does not outline" in note for note in notes] == [True] * said
 
 
+def test_the_authors_forks_disagree_on_the_order_of_subgoals() -> None:
+    open_nav, vln_zero = (ScoreRules(distance=mode) for mode in ("euclidean", "euclidean-any-order"))
+    leaves = [{"goals": [[9, 0, 0]], "subgoals": [[6, 0, 0], [3, 0, 0]]}, TWO[1]]
+    backwards = walk([0, 0, 0], [3, 0, 0], [6, 0, 0], [9, 0, 0])
+    assert (scored(backwards, open_nav, leaves=leaves).bsa, scored(backwards, vln_zero, leaves=leaves).bsa) == (0.5, 1)
+    close = [{"goals": [[9, 0, 0]], "subgoals": [[3, 0, 0], [3.5, 0, 0]]}, TWO[1]]
+    one_pose = walk([0, 0, 0], [3.2, 0, 0], [9, 0, 0])
+    assert (scored(one_pose, open_nav, leaves=close).bsa, scored(one_pose, vln_zero, leaves=close).bsa) == (0.5, 1)
+
+
 @pytest.mark.parametrize("prediction", [None, walk()])
 def test_missing_and_empty_are_failures(prediction: Prediction | None) -> None:
     found = scored(prediction)
