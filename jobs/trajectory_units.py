@@ -9,7 +9,7 @@ import math
 import shutil
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -278,9 +278,7 @@ class Frames:
     filmed: float = 0.0
 
     def __add__(self, other: Frames) -> Frames:
-        return Frames(
-            self.own + other.own, self.rendered + other.rendered, self.told + other.told, self.filmed + other.filmed
-        )
+        return Frames(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass
