@@ -13,7 +13,7 @@ from condvln.episodes.placing import heading_degrees
 from condvln.formats.json_entries import json_lines, parsed
 from condvln.scene.rotations import heading_of
 from schemas.base import SCHEMA_VERSION
-from schemas.errors import FormatError, shown_path
+from schemas.errors import FormatError, MissingFileError, shown_path
 from schemas.evaluation import ManifestEpisode
 
 __all__ = [
@@ -95,6 +95,21 @@ def manifest_path(export: Path, split: str) -> Path:
 def manifest_paths(export: Path) -> list[Path]:
     """Return the sorted paths of all manifests of an export. A name that is not UTF-8 is that of no split."""
     return sorted(path for path in (export / FOLDER).glob("*.jsonl") if shown_path(path.name) == path.name)
+
+
+def export_manifests(export: Path) -> list[Path]:
+    """Return the sorted paths of all manifests of an export.
+
+    Raises
+    ------
+    MissingFileError : there is none
+    """
+    found = manifest_paths(export)
+    if not found:
+        raise MissingFileError(
+            "no manifest/<split>.jsonl in this folder", where=export, remedy="Name the folder that condvln export wrote"
+        )
+    return found
 
 
 def manifest_lines(path: Path) -> Iterator[ManifestLine]:

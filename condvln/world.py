@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from condvln.episodes.picture import draw_episode, wall_lines
 from condvln.episodes.pool import EpisodePool
-from condvln.episodes.steps import Walkable, look_around, place_programs, published_texts
+from condvln.episodes.steps import ProgramSettings, Walkable, look_around, place_programs, published_texts
 from condvln.episodes.table import placements_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.episodes.visibility import sightings_from_table, visibility_table
@@ -205,14 +205,7 @@ class World:
             ),
             walkable,
             sightings,
-            instructions=instructions,
-            sampling=sampling,
-            places=places,
-            goals=goals,
-            rules=episodes,
-            thresholds=thresholds,
-            preamble=text.preamble,
-            seed=seed,
+            ProgramSettings(thresholds, places, instructions, sampling, goals, episodes, text.preamble, seed),
         )
         return self._published(placed.pool, episodes, text, instructions.wording, seed)
 

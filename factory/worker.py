@@ -19,7 +19,7 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime, timezone
-from typing import Final
+from typing import Any, Final
 
 import pyarrow as pa
 
@@ -103,33 +103,17 @@ class Quarantine:
         attempts = max(failed.attempts, attempt)
         key = key or digest([unit.unit_id, stage, name, message])[:32]
         peak = 0 if unit.fault is not None else machine.peak_rss()
-        return self.record(unit, stage, key, failed.cause, name, message, trace=trace, attempts=attempts, peak_rss=peak)
+        said = {"cause": failed.cause, "exception": name, "message": message, "traceback": trace}
+        return self.record(unit, stage, key, **said, attempts=attempts, peak_rss=peak)
 
-    def record(
-        self,
-        unit: Unit,
-        stage: str,
-        key: str,
-        cause: Cause,
-        exception: str,
-        message: str,
-        *,
-        trace: str = "",
-        attempts: int = 1,
-        peak_rss: int = 0,
-    ) -> Failure:
-        """Write a record, and return its short form."""
+    def record(self, unit: Unit, stage: str, key: str, **what: Any) -> Failure:
+        """Write a record of `what` happened, by the names of its fields, and return its short form."""
         record = QuarantineRecord(
             unit_id=unit.unit_id,
             partition=unit.partition,
             stage=stage,
             key=key,
-            cause=cause,
-            exception=exception,
-            message=message,
-            traceback=trace,
-            attempts=attempts,
-            peak_rss=peak_rss,
+            **what,
             host=machine.host(),
             revision=self._context.revision,
             run=self._context.token,
@@ -380,7 +364,8 @@ class Worker:
             if found is None:
                 break
             chain.add(receipt_of(found, made=False))
-        failure = self.quarantine.record(unit, stage, key, cause, exception, message, attempts=attempts)
+        said = {"cause": cause, "exception": exception, "message": message}
+        failure = self.quarantine.record(unit, stage, key, **said, attempts=attempts)
         return _receipt(unit, chain, work.fingerprint, "quarantined", attempts, failure=failure)
 
 

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from condvln.export.contents import read_index
 from condvln.export.splits import SPLITS
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.manifest import manifest_path, read_manifest
 from factory.snapshot import Snapshot
 from jobs.agents import datasets_of
@@ -29,7 +29,7 @@ from jobs.configuration import load_config
 from jobs.generate import run_generate
 from jobs.pipeline import code_versions
 from jobs.report import Report, Section
-from jobs.settings import read_yaml
+from jobs.settings import export_folder, read_yaml
 from jobs.workspace import published
 from schemas.base import first_fault
 from schemas.benchmark import (
@@ -103,13 +103,7 @@ class Benchmark:
         run = path.parent / file.run
         overrides = [*_own_sources(run, datasets_of(scenes)), *overrides]
         config = load_config(run, overrides, check_roots=check_roots)
-        if config.export is None:
-            raise ConfigError(
-                "a benchmark needs an export folder",
-                where=run,
-                place="export",
-                remedy="Set export: FOLDER.",
-            )
+        export_folder(config, run)
         return cls(file, config)
 
 
@@ -156,10 +150,9 @@ def build_benchmark(
     if report.exit_code not in (0, ProofError.exit_code):
         return report
     record = _record(benchmark)
-    export = benchmark.config.export
-    assert export is not None
-    with atomic_stream(export / RECORD) as stream:
-        stream.write(_encoded(record))
+    export = export_folder(benchmark.config)
+    options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
+    write_file(export / RECORD, orjson.dumps(record.model_dump(mode="json"), option=options) + b"\n")
     short = list(short_lines(benchmark.file, record))
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
@@ -288,19 +281,14 @@ def _stops(export: Path) -> list[BenchmarkStops]:
     return found
 
 
-def _encoded(record: BenchmarkRecord) -> bytes:
-    options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
-    return orjson.dumps(record.model_dump(mode="json"), option=options) + b"\n"
-
-
 def _record(benchmark: Benchmark) -> BenchmarkRecord:
     snapshot, file = published(benchmark.config), benchmark.file
-    assert benchmark.config.export is not None
-    index = read_index(benchmark.config.export) or {}
+    export = export_folder(benchmark.config)
+    index = read_index(export) or {}
     if index.get("snapshot") != snapshot.snapshot_id:
         raise UsageError(
             "the export was not made from the published snapshot",
-            where=str(benchmark.config.export),
+            where=str(export),
             remedy="Run condvln benchmark build again.",
         )
     # Every cell that is asked for is counted, so that a source without any episode in a split is not passed over.
@@ -333,7 +321,7 @@ def _record(benchmark: Benchmark) -> BenchmarkRecord:
             )
             for family in families
         },
-        stops=_stops(benchmark.config.export),
+        stops=_stops(export),
         cells=[
             BenchmarkCell(
                 split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n) if s in file.splits else 0

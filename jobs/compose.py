@@ -19,7 +19,7 @@ from condvln.export.contents import INDEX
 from condvln.export.vlnce import scene_file
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.json_entries import read_unpacked
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.navigation.navmesh_file import MAX_FILE_BYTES, NavMeshFile, parse_navmesh
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.scene_navmesh import built_path, with_shipped_navmesh
@@ -111,8 +111,7 @@ def write_changed(path: Path, data: bytes) -> bool:
     """
     if path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data:
         return False
-    with atomic_stream(path) as stream:
-        stream.write(data)
+    write_file(path, data)
     return True
 
 

@@ -17,6 +17,7 @@ from jobs.evaluate import EvaluationReport, Question, evaluate_predictions, walk
 from jobs.explore import Exploration, explore
 from jobs.generate import run_generate
 from jobs.report import Report, print_report
+from jobs.settings import export_folder
 from jobs.show import show_episodes
 from jobs.verify import verify_export
 from jobs.workspace import published
@@ -95,10 +96,9 @@ def _measure(config: Config, out: Path) -> EvaluationReport | None:
     """Run the reference agents on the largest split, and evaluate them. The training split is used only if the others
     are empty. Returns None if all are empty.
     """
-    assert config.export is not None
+    export = export_folder(config)
     sizes = {
-        split: sum(1 for _ in manifest_lines(manifest_path(config.export, split)))
-        for split in ("val_unseen", "test", "train")
+        split: sum(1 for _ in manifest_lines(manifest_path(export, split))) for split in ("val_unseen", "test", "train")
     }
     split = max(sizes, key=lambda name: (sizes[name] > 0 and name != "train", sizes[name]))
     if not sizes[split]:
@@ -106,10 +106,10 @@ def _measure(config: Config, out: Path) -> EvaluationReport | None:
     roots = [source.root for source in config.sources]
     files = [out / "predictions" / f"{agent}.json" for agent in AGENTS]
     for agent, path in zip(AGENTS, files, strict=True):
-        walk_split(config.export, split, agent, path, roots, config.seed)
+        walk_split(export, split, agent, path, roots, config.seed)
     datasets = [f"{source.family}={source.root}" for source in config.sources]
-    options = SplitOptions(navmesh_roots=tuple(roots), sees_of=evidence_seen(config.export, datasets, roots))
-    asked = Question(export=config.export, split=split, predictions=tuple(files), options=options)
+    options = SplitOptions(navmesh_roots=tuple(roots), sees_of=evidence_seen(export, datasets, roots))
+    asked = Question(export=export, split=split, predictions=tuple(files), options=options)
     found = evaluate_predictions(asked)
     return EvaluationReport(found.evaluations, found.tables[:1])
 

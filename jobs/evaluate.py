@@ -23,7 +23,7 @@ from condvln.evaluation.predictions import write_predictions
 from condvln.evaluation.render import as_csv, as_document, as_latex, as_markdown, as_rich
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.evaluation.tables import Table, all_tables, twin_tables
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import atomic_stream, write_file
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from jobs.agents import LOOKER, datasets_of, eyes_of, is_policy, looking_agent, policy_named, walk_policy
 from jobs.report import PIPE_WIDTH, Report, followed
@@ -210,12 +210,8 @@ class EvaluationReport:
         ------
         StoreError : the disk refused
         """
-        written = []
-        for table in self.tables:
-            written.append(folder / f"{quote(table.name, safe=' ')}.csv")
-            with atomic_stream(written[-1]) as stream:
-                stream.write(as_csv(table).encode())
-        return written
+        files = {folder / f"{quote(table.name, safe=' ')}.csv": as_csv(table) for table in self.tables}
+        return [write_file(path, text.encode()) for path, text in files.items()]
 
     def write_plots(self, folder: Path) -> list[Path]:
         """Plot SR, BSA and CSR against depth and chain length; return the paths of the plots."""

@@ -79,9 +79,11 @@ def explore(asked: Exploration) -> Report:
     if export is None and asked.predictions:
         raise UsageError("there is no export to score predictions on", remedy="Run condvln export CONFIG first.")
     roots = (*asked.roots, *(() if asked.config is None else [source.root for source in asked.config.sources]))
-    scenes = (
-        snapshot_scenes(asked.config, export) if asked.config is not None else export_scenes(_folder(export), roots)
-    )
+    if asked.config is not None:
+        scenes = snapshot_scenes(asked.config, export)
+    else:
+        assert export is not None
+        scenes = export_scenes(export, roots)
     agents = ExploredAgents()
     options = SplitOptions(navmesh_roots=roots)
     if asked.config is not None and export is not None and asked.predictions:
@@ -108,11 +110,6 @@ def explore(asked: Exploration) -> Report:
     )
     document = {"page": str(page), "scenes": counts.scenes, "episodes": counts.episodes, "agents": len(agents.results)}
     return Report(document, [f"{counts.episodes} episodes of {counts.scenes} scenes: open {page}"])
-
-
-def _folder(export: Path | None) -> Path:
-    assert export is not None
-    return export
 
 
 def _add(

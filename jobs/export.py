@@ -19,7 +19,7 @@ from condvln.export.snapshot import NavmeshBytes, export_snapshot
 from condvln.export.staging import alone_in, staged
 from condvln.export.tables import FolderTables, Row
 from condvln.export.viewpoints import FOLDER, GraphEpisodes, ViewpointReport, write_viewpoints
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.instructions import oracle_linear
 from condvln.instructions.programs import program_tree
 from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
@@ -33,9 +33,10 @@ from jobs.export_origin import Origin, refuse_losses, remember_data
 from jobs.oracle import text_of_moves
 from jobs.pipeline import built_navmeshes, listed_units
 from jobs.report import Report, Section
+from jobs.settings import export_folder
 from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
-from schemas.errors import CondVLNError, ConfigError, CorruptShardError, SmallerExportError, StoreError
+from schemas.errors import CondVLNError, CorruptShardError, SmallerExportError, StoreError
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
 
@@ -54,10 +55,7 @@ def run_export(config: Config, *, allow_shrink: bool = False) -> Report:
 
     allow_shrink : also where the export would hold fewer episodes than the one in place, whatever the reason
     """
-    if config.export is None:
-        raise ConfigError(
-            "no export folder is named", place="export", remedy="Set export: FOLDER, or --set export=FOLDER."
-        )
+    export_folder(config)
     report = export_snapshot_of(config, allow_shrink=allow_shrink)
     if not report.document:
         report.exit_code = SmallerExportError.exit_code
@@ -91,8 +89,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
 
     renewed : the priors were renewed on purpose
     """
-    assert config.export is not None
-    snapshot = published(config)
+    snapshot, out = published(config), export_folder(config)
     guard = _Guard(config, snapshot, allow_shrink, renewed)
     if not snapshot.manifest.tables["episodes"].rows:
         return _viewpoints_alone(config, snapshot, guard)
@@ -111,7 +108,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     tables, navmeshes = FolderTables(snapshot_folder(config.store, snapshot)), built_navmeshes(config, snapshot)
     done = export_snapshot(
         tables,
-        config.export,
+        out,
         config.splits,
         texts=texts,
         oracle_text=_linear_text(config.seed, config.text.preamble, wording),
@@ -122,7 +119,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
         complete=complete,
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
-    lines = [f"export of snapshot {snapshot.snapshot_id} in {config.export}", *guard.said, *_left_out(done)]
+    lines = [f"export of snapshot {snapshot.snapshot_id} in {out}", *guard.said, *_left_out(done)]
     sections = [Section("Splits", ("split", "scenes", "episodes"), [*rows])]
     if done.shortfalls:
         short = [(c.split, c.source, c.category, c.gold_leaf, c.wanted, c.selected) for c in done.shortfalls]
@@ -189,10 +186,9 @@ class _Guard:
         """Raise the error of :func:`refuse_losses` if the export lost episodes without a reason, unless
         ``--allow-shrink`` is given.
         """
-        assert self._config.export is not None
         try:
             self.said = refuse_losses(
-                self._config.export,
+                export_folder(self._config),
                 self._ref,
                 self._origin,
                 episodes,
@@ -207,8 +203,7 @@ class _Guard:
 
     def record(self, new: Path) -> None:
         """Write the record of what the export is made of."""
-        with atomic_stream(new / ORIGIN) as stream:
-            stream.write(self._origin.as_bytes())
+        write_file(new / ORIGIN, self._origin.as_bytes())
 
     def _listed(self) -> set[str] | None:
         """Return the scenes that the sources have now; None where the sources can't be listed, as on a machine without
@@ -222,13 +217,12 @@ class _Guard:
 
 def _viewpoints_alone(config: Config, snapshot: Snapshot, guard: _Guard) -> Report:
     """Export a snapshot without episodes on a navmesh: only what can be placed on viewpoint graphs, if anything."""
-    assert config.export is not None
     report = Report({}, ["no episodes on a navmesh to export; the tables scenes and rejections say why"])
     graphs = graphs_of(config)
     if not graphs:
         guard.check({}, {})
         return report
-    with staged(config.export) as new:
+    with staged(export_folder(config)) as new:
         guard.check({}, {})
         guard.record(new)
         viewpoints = _write_viewpoints(config, snapshot, new)
@@ -249,12 +243,11 @@ def _write_viewpoints(config: Config, snapshot: Snapshot, new: Path) -> Viewpoin
 
 
 def _add_viewpoints(report: Report, config: Config, done: ViewpointReport) -> None:
-    assert config.export is not None
     if done.episodes or done.left_out:
         report.document["viewpoints"] = done.document()
         made = ", ".join(f"{count} {split}" for split, count in done.episodes.items()) or "none"
         refused = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items()) or "none"
-        report.lines.append(f"on viewpoints alone, in {config.export / FOLDER}: {made}; left out: {refused}")
+        report.lines.append(f"on viewpoints alone, in {export_folder(config) / FOLDER}: {made}; left out: {refused}")
 
 
 def _linear_text(seed: int, preamble: bool, wording: WordingConfig) -> Callable[[Row, Row], str]:

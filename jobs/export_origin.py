@@ -19,7 +19,7 @@ from condvln.export.contents import ORIGIN, document_digest, read_document, read
 from condvln.manifest import manifest_paths
 from factory.snapshot import Snapshot
 from jobs.pipeline import code_versions
-from jobs.settings import config_error, put
+from jobs.settings import config_error, export_folder, put
 from schemas.base import Document
 from schemas.config import Config
 from schemas.errors import SmallerExportError, UsageError
@@ -127,9 +127,8 @@ def _flat(document: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 def remember_data(config: Config) -> None:
     """Note beside the export of `config` where its scenes lie on this machine; the export itself may be passed on."""
-    assert config.export is not None
     texts = [f"{source.family}={source.root}" for source in config.sources]
-    _data_file(config.export).write_bytes(orjson.dumps({"data": texts}))
+    _data_file(export_folder(config)).write_bytes(orjson.dumps({"data": texts}))
 
 
 def data_of(export: Path, texts: Sequence[str] | None) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Final
 from condvln.language import LanguageReport, language_report, read_texts
 from jobs.configuration import load_config
 from jobs.report import Report, Section
+from jobs.settings import export_folder
 from schemas.errors import UsageError
 
 __all__ = ["report_language"]
@@ -28,11 +29,7 @@ def report_language(target: Path, overrides: Sequence[str] = ()) -> Report:
     folder = target
     if target.suffix in CONFIG_SUFFIXES:
         config = load_config(target, overrides, check_roots=False)
-        if config.export is None:
-            raise UsageError(
-                "no export folder is named", where=str(target), place="export", remedy="Set export: FOLDER."
-            )
-        folder = config.export
+        folder = export_folder(config, target)
     elif overrides:
         raise UsageError("--set is only for a configuration", where=str(target), remedy="Name the YAML file.")
     found = language_report(read_texts(folder))

@@ -19,7 +19,7 @@ from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.metrics import keys_of, metrics_of
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.export.contents import exported_snapshot
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from jobs.agents import LOOKER, datasets_of, evidence_seen, looking_agent
 from jobs.benchmark import read_record
@@ -90,8 +90,7 @@ def score_benchmark(
         found += [(evaluation, _row(evaluation, None)) for evaluation in _references(export, split, roots, scenes)]
     board = _board(record, split, found)
     if out is not None:
-        with atomic_stream(out) as stream:
-            stream.write(orjson.dumps(board.model_dump(mode="json"), option=orjson.OPT_INDENT_2) + b"\n")
+        write_file(out, orjson.dumps(board.model_dump(mode="json"), option=orjson.OPT_INDENT_2) + b"\n")
     return _report(board, out, asked=references)
 
 

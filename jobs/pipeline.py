@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, Final
 
+from condvln.episodes.steps import ProgramSettings
 from condvln.export.selection import VERSION
 from condvln.export.tables import NavmeshBytes, Row
 from condvln.scene import Scene
@@ -50,7 +51,17 @@ BYTES_BASE: Final = 300 * 2**20
 
 def build_pipeline(config: Config) -> Pipeline:
     """Build the six stages under `config`, with the nine tables that they publish."""
-    agent, preamble = config.agent, config.text.preamble
+    agent = config.agent
+    programs = ProgramSettings(
+        config.thresholds,
+        config.places,
+        config.instructions,
+        config.sampling,
+        config.goals,
+        config.episodes,
+        config.text.preamble,
+        config.seed,
+    )
     return Pipeline(
         name="condvln",
         stages=(
@@ -58,17 +69,7 @@ def build_pipeline(config: Config) -> Pipeline:
             CountStage(config.thresholds, config.sampling.anchor_size, config.sampling.usual_places),
             RelationStage(config.thresholds),
             VisibilityStage(config.places, config.episodes.object_seen, agent.max_climb),
-            EpisodeStage(
-                config.thresholds,
-                config.places,
-                config.instructions,
-                config.sampling,
-                config.goals,
-                config.episodes,
-                agent.max_climb,
-                preamble,
-                config.seed,
-            ),
+            EpisodeStage(programs, agent.max_climb),
             TextStage(config.text, config.instructions.wording, config.episodes.max_steps, config.seed),
         ),
         aggregates=(

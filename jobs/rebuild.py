@@ -8,7 +8,6 @@ the work to the first; on several, all may work, one publishes, and the others s
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 from rich.console import Console
@@ -59,42 +58,21 @@ def run_rebuild(
             assert watch.memory is not None
             said = f"{NOTHING}: no name, size or time of a file changed since {watch.memory.looked_at}"
             return _nothing(said, watch.memory.quarantined, watch.memory.refused)
-        return _rebuild(
-            _Rebuild(config, store, watch, renew_priors, retry_quarantined, verify, inline, console), asked=asked
-        )
+        how = {"verify": verify, "renew_priors": renew_priors, "retry_quarantined": retry_quarantined, "inline": inline}
+        return _rebuild(config, store, watch, how, console or Console(stderr=True), asked=asked)
 
 
-@dataclass(frozen=True)
-class _Rebuild:
-    """One rebuild, with its options, its store and its record of the inputs."""
-
-    config: Config
-    store: Store
-    watch: Watch
-    renew_priors: bool
-    retry_quarantined: bool
-    verify: bool
-    inline: bool
-    console: Console | None
-
-
-def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
+def _rebuild(
+    config: Config, store: Store, watch: Watch, how: Mapping[str, bool], console: Console, *, asked: bool
+) -> Report:
     # The science is loaded only now: looking whether anything changed does not need it.
     from factory.run import plan
     from jobs.export import alone_in_export
     from jobs.pipeline import build_pipeline, listed_units
 
-    config, watch = job.config, job.watch
-    units = listed_units(config, verify=job.verify)
-    renew = ("priors",) if job.renew_priors else ()
-    found = plan(
-        build_pipeline(config),
-        units,
-        job.store,
-        config.name,
-        retry_quarantined=job.retry_quarantined,
-        renew=renew,
-    )
+    units = listed_units(config, verify=how["verify"])
+    renew, retry = ("priors",) if how["renew_priors"] else (), how["retry_quarantined"]
+    found = plan(build_pipeline(config), units, store, config.name, retry_quarantined=retry, renew=renew)
     if not asked and found.unchanged and (config.export is None or watch.export_stands(found.snapshot_id)):
         quarantined = found.counts["QUARANTINED"]
         refused = watch.remember(found.snapshot_id, quarantined)
@@ -102,26 +80,18 @@ def _rebuild(job: _Rebuild, *, asked: bool) -> Report:
         said = f"{NOTHING}: {len(units)} scenes are as published"
         return _nothing(said, quarantined, refused, {"snapshot_id": found.snapshot_id, "counts": counts})
     with alone_in_export(config):
-        return _work(job, units, found)
+        return _work(config, watch, how, console, units, found)
 
 
-def _work(job: _Rebuild, units: Collection[Unit], found: Plan) -> Report:
+def _work(
+    config: Config, watch: Watch, how: Mapping[str, bool], console: Console, units: Collection[Unit], found: Plan
+) -> Report:
     """Process the units that are out of date by the plan `found`, publish, export, and sweep the store; return the
     rebuild's report.
     """
     from jobs.generate import add_export, bring_up_to_date, run_report
 
-    config, watch = job.config, job.watch
-    console = job.console or Console(stderr=True)
-    done = bring_up_to_date(
-        config,
-        units,
-        inline=job.inline,
-        retry_quarantined=job.retry_quarantined,
-        renew_priors=job.renew_priors,
-        verify=job.verify,
-        console=console,
-    )
+    done = bring_up_to_date(config, units, console=console, **how)
     report = run_report(done)
     report.document["plan"] = {"counts": dict(found.counts), "reasons": dict(found.reasons)}
     report.lines.insert(0, _why(dict(found.counts), dict(found.reasons), len(found.removed)))
@@ -131,20 +101,20 @@ def _work(job: _Rebuild, units: Collection[Unit], found: Plan) -> Report:
     if (
         config.export is not None
         and done.snapshot_id is not None
-        and not watch.export_stands(done.snapshot_id, verify=job.verify)
+        and not watch.export_stands(done.snapshot_id, verify=how["verify"])
     ):
         try:
-            kept = not add_export(report, config, renewed=job.renew_priors)
+            kept = not add_export(report, config, renewed=how["renew_priors"])
         except CorruptShardError as error:
             # Bytes that changed while a file kept its size are met only where the file is read.
             console.print(f"{error} The damaged files are rebuilt now.", highlight=False, markup=False)
-            bring_up_to_date(config, units, inline=job.inline, verify=True, console=console)
-            kept = not add_export(report, config, renewed=job.renew_priors)
+            bring_up_to_date(config, units, inline=how["inline"], verify=True, console=console)
+            kept = not add_export(report, config, renewed=how["renew_priors"])
         if kept:
             return report  # nothing is remembered, so that the next rebuild refuses again
         exported = "export" in report.document
     if done.published and config.keep.sweep:
-        _sweep(config, job.store, report)
+        _sweep(config, report)
     refused = watch.remember(
         done.snapshot_id, done.counts["quarantined"], _refusal(config, report) if exported else None
     )
@@ -174,8 +144,8 @@ def _why(counts: dict[str, int], reasons: dict[str, int], removed: int) -> str:
     return f"planned: {', '.join(parts) or 'no scenes'}" + (f"; changed: {because}" if because else "")
 
 
-def _sweep(config: Config, store: Store, report: Report) -> None:
-    swept = sweep(store, keep=config.keep.snapshots, grace=config.keep.grace_hours * 3600)
+def _sweep(config: Config, report: Report) -> None:
+    swept = sweep(open_store(config), keep=config.keep.snapshots, grace=config.keep.grace_hours * 3600)
     files, size = swept.files.total(), swept.bytes.total()
     report.document["swept"] = {"files": files, "bytes": size, "snapshots": list(swept.removed)}
     if files:

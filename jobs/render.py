@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Follower
 from condvln.sensors import cameras_of
 from condvln.sensors.renderer import clip_gif, coloured_depth, coloured_instances, contact_sheet, png
@@ -157,7 +157,7 @@ def _write(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
             renderer.look(views[0], place, heading).rgb
             for place, heading in zip(shots.positions, shots.headings, strict=True)
         ]
-        return [_saved(out, clip_gif(frames))]
+        return [write_file(out, clip_gif(frames))]
     pictures, captions = [], []
     count = len(shots.positions)
     for number in np.unique(np.linspace(0, count - 1, min(count, SHEET)).round().astype(int)):
@@ -170,7 +170,7 @@ def _write(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
                 captions += ["depth, white from 6 m", "instances"]
     columns = 12 if len(views) > 4 else 3 if count <= len(QUARTERS) and len(views) == 1 else 4
     heading = textwrap.wrap(shots.text, LINE)
-    return [_saved(out, contact_sheet(pictures, captions, columns, heading))]
+    return [write_file(out, contact_sheet(pictures, captions, columns, heading))]
 
 
 def _folder(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
@@ -184,16 +184,10 @@ def _folder(out: Path, cameras: Cameras, shots: _Shots) -> list[Path]:
         for name, camera in cameras.items():
             if name.startswith("rgb"):
                 frame = renderer.look(camera, place, float(heading))
-                written.append(_saved(out / f"{number:0{digits}d}_{name}.png", png(frame.rgb)))
+                written.append(write_file(out / f"{number:0{digits}d}_{name}.png", png(frame.rgb)))
             else:
                 frame = renderer.look(camera, place, float(heading), rgb=False)
-                written.append(_saved(out / f"{number:0{digits}d}_{name}.png", png(frame.depth)))
+                written.append(write_file(out / f"{number:0{digits}d}_{name}.png", png(frame.depth)))
                 own = name.replace("depth", "instance", 1)
-                written.append(_saved(out / f"{number:0{digits}d}_{own}.png", png(frame.instance)))
+                written.append(write_file(out / f"{number:0{digits}d}_{own}.png", png(frame.instance)))
     return written
-
-
-def _saved(path: Path, data: bytes) -> Path:
-    with atomic_stream(path) as stream:
-        stream.write(data)
-    return path

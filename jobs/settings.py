@@ -17,7 +17,7 @@ from schemas.base import Section
 from schemas.config import Config
 from schemas.errors import ConfigError
 
-__all__ = ["NOT_YAML", "config_error", "nearest", "put", "read_section", "read_yaml", "yaml_value"]
+__all__ = ["NOT_YAML", "config_error", "export_folder", "nearest", "put", "read_section", "read_yaml", "yaml_value"]
 
 NOT_YAML: Final = (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError)
 """What a text that is not YAML raises; the last ones are values that their type can't have: a date of month 13, a
@@ -211,6 +211,25 @@ def config_error(error: ValidationError, path: Path | str, model: type[Section] 
     told = "; ".join(f"{place}: {what}" if place else what for place, what, _ in faults)
     remedies = dict.fromkeys(f"{place}: {remedy}" if place else remedy for place, _, remedy in faults if remedy)
     return ConfigError(f"{len(faults)} keys are wrong: {told}", where=path, remedy=" ".join(remedies))
+
+
+def export_folder(config: Config, where: Path | None = None) -> Path:
+    """Return the folder of the configuration's export.
+
+    where : the configuration's file, for the message
+
+    Raises
+    ------
+    ConfigError : none is named
+    """
+    if config.export is None:
+        raise ConfigError(
+            "no export folder is named",
+            where=where,
+            place="export",
+            remedy="Set export: FOLDER, or --set export=FOLDER.",
+        )
+    return config.export
 
 
 def nearest(word: object, known: Iterable[str]) -> str:

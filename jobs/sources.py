@@ -76,12 +76,14 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
                     for k in kinds
                 ],
                 "absent": [h.scene_id for h in handles if not h.inputs and type(h.fault) is MissingFileError],
-                **_counts(found),
+                **vars(found),
+                "yields": [asdict(one) for one in found.yields],
+                "without_extent": found.without_extent,
             }
         )
         family = source.family
         sections["Sources"].append((family, str(source.root), len(inputs), sum(inputs.values()) / 2**20))
-        sections["Scenes"].append((family, *_row(found)))
+        sections["Scenes"].append((family, *(getattr(found, name) for name in _COUNTED)))
         sections["Missing files"] += [
             (family, k.download.need, k.download.holds, k.download.source, k.download.licence)
             for k in kinds
@@ -91,7 +93,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         sections["Will yield"].append((family, *_yield_row(found)))
         sections["Will yield nothing"] += [(family, y.scene_id, y.nothing) for y in found.yields if y.nothing][:SHOWN]
         sections["Unmapped labels"] += [
-            (family, raw, count, _may_be(raw, family)) for raw, count in found.unmapped.most_common(SHOWN)
+            (family, raw, count, _may_be(raw, family)) for raw, count in found.unmapped_labels.most_common(SHOWN)
         ]
         sections["Unmapped rooms"] += [(family, *item) for item in found.unmapped_rooms.most_common(SHOWN)]
         sections["Warnings"] += [(family, *item) for item in sorted(found.warnings.items())]
@@ -158,23 +160,7 @@ def _may_be(raw: str, family: str) -> str:
     return ", ".join(sorted(vocabulary.may_be(label, family))) or "nothing that text names"
 
 
-def _row(found: Survey) -> tuple[int, ...]:
-    return (found.scenes, found.read, found.rooms, found.objects, found.with_extent, found.without_extent)
-
-
-def _counts(found: Survey) -> dict[str, Any]:
-    names = ("scenes", "read", "rooms", "objects", "with_extent", "without_extent")
-    return {
-        **dict(zip(names, _row(found), strict=True)),
-        "navmeshes": dict(sorted(found.navmeshes.items())),
-        "unmapped_labels": dict(found.unmapped.most_common()),
-        "unmapped_rooms": dict(found.unmapped_rooms.most_common()),
-        "warnings": dict(sorted(found.warnings.items())),
-        "passed_over": [list(item) for item in found.passed_over],
-        "skipped": [list(item) for item in found.skipped],
-        "unreadable": [list(item) for item in found.unreadable],
-        "yields": [asdict(one) for one in found.yields],
-    }
+_COUNTED: Final = ("scenes", "read", "rooms", "objects", "with_extent", "without_extent")
 
 
 @dataclass
@@ -182,7 +168,7 @@ class Survey:
     """Counts over the scenes that were read.
 
     scenes : scenes listed; read : those among them that were read
-    unmapped : objects by raw label that the vocabulary does not know (they never appear in text)
+    unmapped_labels : objects by raw label that the vocabulary does not know (they never appear in text)
     warnings : by code, how many places; skipped, unreadable : (scene id, why)
     passed_over : (path, why) of what holds no scene, or is listed under another name
     navmeshes : scenes by where their navmesh comes from
@@ -194,7 +180,7 @@ class Survey:
     rooms: int = 0
     objects: int = 0
     with_extent: int = 0
-    unmapped: Counter[str] = field(default_factory=Counter)
+    unmapped_labels: Counter[str] = field(default_factory=Counter)
     unmapped_rooms: Counter[str] = field(default_factory=Counter)
     warnings: Counter[str] = field(default_factory=Counter)
     navmeshes: Counter[str] = field(default_factory=Counter)
@@ -251,7 +237,7 @@ def _count(survey: Survey, source: Source, scene: Scene) -> None:
     survey.objects += len(scene.objects)
     survey.with_extent += sum(item.box is not None or item.radius is not None for item in scene.objects)
     survey.warnings.update(warning.code for warning in scene.warnings)
-    survey.unmapped.update(
+    survey.unmapped_labels.update(
         # A model whose source labels it wrongly goes by its own name.
         item.raw_label if vocabulary.canonical(item.raw_label, scene.family) == item.label else item.label
         for item in scene.objects

@@ -17,7 +17,7 @@ import orjson
 from rich.console import Console
 
 from condvln.formats.image_files import encoders
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.manifest import manifest_lines, manifest_path
 from condvln.navigation.follower import ActionSpace
 from condvln.sensors.textures import decoders
@@ -332,10 +332,10 @@ class _Run:
             "decoders": dict(decoders()),
             "notes": notes,
         }
-        with atomic_stream(self.folder / "README.md") as stream:
-            stream.write(read_me(work.target.split, terms, RECIPE_FILES, images=keep).encode())
-        with atomic_stream(self.folder / RECORD) as stream:
-            stream.write(orjson.dumps(record, option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS) + b"\n")
+        read = read_me(work.target.split, terms, RECIPE_FILES, images=keep)
+        write_file(self.folder / "README.md", read.encode())
+        options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
+        write_file(self.folder / RECORD, orjson.dumps(record, option=options) + b"\n")
         if keep:
             with new_folder(self.folder / RECIPE) as part:
                 for name in RECIPE_FILES:

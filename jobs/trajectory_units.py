@@ -9,7 +9,7 @@ import math
 import shutil
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -28,6 +28,7 @@ from jobs.agents import datasets_of
 from jobs.configuration import load_config
 from jobs.export_origin import config_of
 from jobs.pipeline import BYTES_BASE, open_configured, scene_payload
+from jobs.settings import export_folder
 from schemas.canonical import digest
 from schemas.config import CameraConfig, Config, SourceConfig, TrajectoryConfig
 from schemas.errors import FormatError, InputError, MissingFileError, ProofError, UsageError
@@ -241,9 +242,7 @@ def find_split(text: str, split: str, scenes: Sequence[str] = (), overrides: Seq
         config = config_of(export, datasets_of(scenes))
     else:
         config = load_config(path, overrides)
-        if config.export is None:
-            raise UsageError("the configuration names no export", where=path, place="export", remedy="Set export: DIR.")
-        export = config.export
+        export = export_folder(config, path)
     known = [found.stem for found in manifest_paths(export)]
     if split not in known:
         raise UsageError(
@@ -279,9 +278,7 @@ class Frames:
     filmed: float = 0.0
 
     def __add__(self, other: Frames) -> Frames:
-        return Frames(
-            self.own + other.own, self.rendered + other.rendered, self.told + other.told, self.filmed + other.filmed
-        )
+        return Frames(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass

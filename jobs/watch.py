@@ -22,6 +22,7 @@ from factory.commits import Commits
 from factory.files import hash_file
 from factory.inventory import glance
 from factory.store import Store
+from jobs.settings import export_folder
 from jobs.workspace import graph_folders, source_paths
 from schemas.base import Document
 from schemas.canonical import digest
@@ -133,10 +134,9 @@ class Watch:
         """Return (path, size, time) of every file that the export lists; None when a file is missing or has another
         size or, with ``verify``, another hash.
         """
-        assert self._config.export is not None
         found: list[Any] = []
         try:
-            index = json.loads((self._config.export / EXPORT_INDEX).read_bytes())
+            index = json.loads((export_folder(self._config) / EXPORT_INDEX).read_bytes())
             for path, listed in sorted(index["files"].items()):
                 stat = (self._config.export / path).stat()
                 if stat.st_size != listed["bytes"]:

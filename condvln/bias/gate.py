@@ -27,8 +27,7 @@ from condvln.bias.guessers import FIXED, LEARNED
 from condvln.bias.regression import NO_GUESS
 from condvln.bias.report import ALL, PRESENCE, BiasReport, Finding, Uniformity
 from condvln.bias.significance import binomial_tail, holm, interval, p_by_scenes, p_uniform
-from condvln.manifest import manifest_lines, manifest_paths
-from schemas.errors import MissingFileError
+from condvln.manifest import export_manifests, manifest_lines
 from schemas.program import CATEGORIES
 
 __all__ = ["CELL_CAP", "LEAST_EPISODES", "UNIFORM_FROM", "BiasGate", "judge", "judge_export"]
@@ -268,11 +267,6 @@ def _parts(
 
 
 def _manifest_rows(folder: Path) -> Iterator[Mapping[str, Any]]:
-    paths = manifest_paths(folder)
-    if not paths:
-        raise MissingFileError(
-            "no manifest/<split>.jsonl in this folder", where=folder, remedy="Name the folder of an export"
-        )
-    for path in paths:
+    for path in export_manifests(folder):
         for line in manifest_lines(path):
             yield line.fields()

@@ -39,11 +39,8 @@ def floor_points(
     islands : navmesh islands that count as floor
     obstacles : furniture that the navmesh ignores; the floor inside its footprint is not free
     """
-    if room.polygon is None:
-        points = _whole_floor(scene, pathfinder, islands)
-    else:
-        points, good = _room_floor(room, room.polygon, pathfinder, islands)
-        points = points[good] if good.any() else points
+    points, good = _room_floor(scene, room, pathfinder, islands)
+    points = points[good] if good.any() else points
     free = _free(points, obstacles)
     points = points[free] if free.any() else points
     return np.asarray(points + np.array([0.0, FLOOR_LIFT, 0.0]), dtype=np.float64)
@@ -60,12 +57,8 @@ def standing_points(
 
     These are the points of :func:`floor_points` that lie on the navmesh, at floor height.
     """
-    if room.polygon is None:
-        points = _whole_floor(scene, pathfinder, islands)
-    else:
-        points, good = _room_floor(room, room.polygon, pathfinder, islands)
-        points = points[good]
-    return np.asarray(points[_free(points, obstacles)], dtype=np.float64)
+    points, good = _room_floor(scene, room, pathfinder, islands)
+    return np.asarray(points[good & _free(points, obstacles)], dtype=np.float64)
 
 
 def _free(points: F64, obstacles: Sequence[tuple[SceneObject, Footprint]]) -> NDArray[np.bool_]:
@@ -90,14 +83,17 @@ def _whole_floor(scene: Scene, pathfinder: PathfinderProtocol, islands: Sequence
 
 
 def _room_floor(
-    room: Room, polygon: F64, pathfinder: PathfinderProtocol, islands: Sequence[int]
+    scene: Scene, room: Room, pathfinder: PathfinderProtocol, islands: Sequence[int]
 ) -> tuple[F64, NDArray[np.bool_]]:
     """Return grid points (n, 3) inside a room's outline, snapped to the navmesh where possible, and a mask (n,) of the
     points that were snapped.
 
     Points of a room without navmesh are at the height of the room's floor.
     """
-    outline = shapely.Polygon(polygon)
+    if room.polygon is None:
+        points = _whole_floor(scene, pathfinder, islands)
+        return points, np.ones(len(points), dtype=bool)
+    outline = shapely.Polygon(room.polygon)
     if not outline.is_valid:
         outline = shapely.make_valid(outline)
     spacing = max(FLOOR_LEAST_SPACING, math.sqrt(outline.area / FLOOR_POINTS))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from condvln.episodes.floor import standing_points
 from condvln.episodes.goals import wide_islands
-from condvln.episodes.observability import Observer, SightNeed
+from condvln.episodes.observability import Observer, SightNeed, row_by_row
 from condvln.episodes.placing import Rejected, Routes, yaw_quaternion
 from condvln.episodes.starts import FoundLeaf
 from condvln.episodes.view import SceneView
@@ -163,7 +163,7 @@ class LookingPaths:
         self._to_object: dict[str, F64] = {}
         self._starts: dict[bytes, _Legs] = {}
         self._sights: dict[tuple[SightNeed, bytes], Bools] = {}
-        self._rows: dict[tuple[SightNeed, bytes], Bools] = {}
+        self._rows: dict[SightNeed, dict[bytes, Bools]] = {}
 
     def path(self, program: Program, routes: Routes, leaf: int) -> LookingPath:
         """Return the looking path of a leaf, after the plans of all leaves were checked as if they were gold.
@@ -227,14 +227,11 @@ class LookingPaths:
 
     def seen_at(self, need: SightNeed, places: F64) -> Bools:
         """Return what `seen` does, from places (n, 3) on the floor; what was asked before of these routes is kept."""
-        keys = [(need, place.tobytes()) for place in places]
-        new = {key: k for k, key in enumerate(keys) if key not in self._rows}
-        if new:
-            rows = self.seen(need, eyes_at(places[list(new.values())], self.eye_height))
-            self._rows.update(zip(new, rows, strict=True))
+        known = self._rows.setdefault(need, {})
+        rows = row_by_row(known, places, lambda new: self.seen(need, eyes_at(new, self.eye_height)))
         target = self.observer.target(need)
         samples = 1 if target is None else len(target.samples)
-        return np.array([self._rows[key] for key in keys], bool).reshape(len(keys), samples)
+        return np.array(rows, bool).reshape(len(places), samples)
 
     def recognised(self, need: SightNeed, eyes: F64, seen: Bools) -> Bools:
         """Return a mask (n,) of the eyes (n, 3) that recognise an object by the samples that each one sees (n, k)."""

@@ -11,9 +11,9 @@ be visible from some place so near that a usual object with the label would be r
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from schemas.config.constants import EYE_SPACING, LEVEL_CAMERA, PREFIX_SAMPLES, 
 from schemas.episode import Evidence, Observability
 from schemas.program import Condition, Program
 
-__all__ = ["FIRST_VIEW", "Observation", "Observer", "SightNeed", "common_prefix", "places_at"]
+__all__ = ["FIRST_VIEW", "Observation", "Observer", "SightNeed", "common_prefix", "places_at", "row_by_row"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -242,12 +242,7 @@ class Observer:
         is not recognised; see `SceneView.degrees`.
         """
         known = self._degrees.setdefault(name, {})
-        keys = [eye.tobytes() for eye in eyes]
-        new = [k for k, key in enumerate(keys) if key not in known]
-        if new:
-            found = self._view.degrees(eyes[new], name[1], self.rule)
-            known.update(zip((keys[k] for k in new), found.tolist(), strict=True))
-        return np.array([known[key] for key in keys])
+        return np.array(row_by_row(known, eyes, lambda new: self._view.degrees(new, name[1], self.rule)))
 
     def floor_in_view(self, name: SightNeed, eyes: F64) -> Bools:
         """Return a mask (n, k): whether each point of a known floor is visible from each of the eyes (n, 3), near
@@ -256,12 +251,17 @@ class Observer:
         target = self.target(name)
         assert target is not None, "the floor is known"
         known = self._seen.setdefault(name, {})
-        keys = [eye.tobytes() for eye in eyes]
-        new = [k for k, key in enumerate(keys) if key not in known]
-        if new:
-            seen = self._view.seen(eyes[new], target, self.around(name))
-            known.update(zip((keys[k] for k in new), seen, strict=True))
-        return np.array([known[key] for key in keys], bool).reshape(len(eyes), len(target.samples))
+        found = row_by_row(known, eyes, lambda new: self._view.seen(new, target, self.around(name)))
+        return np.array(found, bool).reshape(len(eyes), len(target.samples))
+
+
+def row_by_row(known: dict[bytes, Any], places: F64, find: Callable[[F64], Iterable[Any]]) -> list[Any]:
+    """Return what `find` finds for each of some places (n, 3). `known` keeps it; nothing is looked for twice."""
+    keys = [place.tobytes() for place in places]
+    new = {key: k for k, key in enumerate(keys) if key not in known}
+    if new:
+        known.update(zip(new, find(places[list(new.values())]), strict=True))
+    return [known[key] for key in keys]
 
 
 def _object(name: str) -> SightNeed:

@@ -76,9 +76,6 @@ class GoalField:
         counts = [len(points) for points in self.goals.values()]
         self.first = np.cumsum([0, *counts], dtype=np.int64)
 
-    def __contains__(self, object_id: str) -> bool:
-        return object_id in self.goals
-
     @kept
     def apart(self, least: float) -> Bools:
         """Return a mask (n, n) of the pairs of objects, in the order of ``goals``, whose goal points are at least

@@ -48,6 +48,7 @@ from schemas.program import Program
 __all__ = [
     "DrawnPrograms",
     "PlacedPrograms",
+    "ProgramSettings",
     "Walkable",
     "draw_programs",
     "look_around",
@@ -57,6 +58,22 @@ __all__ = [
 
 
 Rejections: TypeAlias = Counter[tuple[InstructionCell | None, str]]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ProgramSettings:
+    """What the drawing and placing of programs follows: sections of the configuration, whether texts may name the start
+    heading, and the seed.
+    """
+
+    thresholds: Thresholds
+    places: PlacesConfig
+    instructions: InstructionsConfig
+    sampling: SamplingConfig
+    goals: GoalsConfig
+    episodes: EpisodeConfig
+    preamble: bool
+    seed: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,12 +123,7 @@ def draw_programs(
     facts: Mapping[str, TextFacts],
     bits: PriorBits,
     sightings: Sightings,
-    *,
-    instructions: InstructionsConfig,
-    sampling: SamplingConfig,
-    places: PlacesConfig,
-    preamble: bool,
-    seed: int,
+    settings: ProgramSettings,
     graph: GraphPathfinder | None = None,
 ) -> DrawnPrograms:
     """Draw the candidate programs of a scene without a navmesh.
@@ -125,11 +137,11 @@ def draw_programs(
     """
     placer: GraphPlacer | None = None
     # Samplers by what defines the distance between objects; each fills the cells that the previous ones left short.
-    ways = [apart_by_centres(scene, places)]
+    ways = [apart_by_centres(scene, settings.places)]
     if graph is not None:
         # If too few objects have a viewpoint, some instructions are published without episodes.
         ways.insert(0, viewpoint_stops(scene, graph))
-        placer = GraphPlacer(scene, graph, seed)
+        placer = GraphPlacer(scene, graph, settings.seed)
     candidates: list[Candidate] = []
     rejections: Rejections = Counter()
     for stops in ways:
@@ -137,11 +149,11 @@ def draw_programs(
             scene,
             facts,
             bits,
-            instructions,
-            sampling,
-            seed,
+            settings.instructions,
+            settings.sampling,
+            settings.seed,
             stops=stops,
-            preamble=preamble,
+            preamble=settings.preamble,
             placed=False,
             sightings=sightings,
         )
@@ -197,15 +209,7 @@ def place_programs(
     bits: PriorBits,
     walkable: Walkable,
     sightings: Sightings,
-    *,
-    instructions: InstructionsConfig,
-    sampling: SamplingConfig,
-    places: PlacesConfig,
-    goals: GoalsConfig,
-    rules: EpisodeConfig,
-    thresholds: Thresholds,
-    preamble: bool,
-    seed: int,
+    settings: ProgramSettings,
 ) -> PlacedPrograms:
     """Draw candidate programs of a scene and place them, until each cell has the wanted episodes or is exhausted.
 
@@ -214,11 +218,13 @@ def place_programs(
     facts : what text may state about pairs of objects, by room id
     """
     pathfinder, placers = walkable.pathfinder, list[Placer]()
+    instructions, sampling, preamble = settings.instructions, settings.sampling, settings.preamble
+    places, rules, seed = settings.places, settings.episodes, settings.seed
     obstacles = blocked_footprints(scene, pathfinder, walkable.max_climb)
 
     def reachable(named: frozenset[str]) -> Stops:
         sight = walkable.view, Recognition.of(places, rules)
-        points = scene_goals(scene, pathfinder, places, goals, obstacles, sight, named)
+        points = scene_goals(scene, pathfinder, places, settings.goals, obstacles, sight, named)
         placer = Placer(
             scene,
             pathfinder,
@@ -227,7 +233,7 @@ def place_programs(
             rules,
             seed,
             max_climb=walkable.max_climb,
-            thresholds=thresholds,
+            thresholds=settings.thresholds,
             sightings=sightings,
         )
         placers.append(placer)

@@ -10,7 +10,7 @@ from condvln.labels import vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
 from condvln.navigation.sight import Recognition, SightTarget, View, in_view, visible_extent, visible_points
 from condvln.navigation.surface_samples import DEFAULT_SAMPLES, box_samples, mesh_samples
-from condvln.scene import Scene, SceneObject
+from condvln.scene import OrientedBox, Scene, SceneObject
 from condvln.scene.scene import STRUCTURE, SceneGeometry
 from schemas.config.constants import FRAME_HEADROOM
 
@@ -66,10 +66,10 @@ class SceneView:
 
     def _boxes(self) -> BoxOccluders:
         """Return a solid box for every solid object; the box around a room's walls is left out."""
-        found: list[tuple[F64, F64, F64]] = []
+        found: list[OrientedBox] = []
         headroom: list[float] = []
         for item in self._scene.objects:
-            boxes = _boxes_of(item)
+            boxes = item.solids
             if boxes and not vocabulary.is_structure(item.label):
                 self._box_numbers[item.object_id] = [len(found) + k for k in range(len(boxes))]
                 found += boxes
@@ -92,8 +92,7 @@ class SceneView:
         faces = self._faces.get(item.object_id)
         if faces is not None and self._geometry is not None:
             return SightTarget(mesh_samples(self._geometry.vertices, faces, count))
-        boxes = _boxes_of(item)
-        samples = [box_samples(*box, count) for box in boxes] or [item.center[None]]
+        samples = [box_samples(*box, count) for box in item.solids] or [item.center[None]]
         numbers = self._box_numbers.get(item.object_id, [-1] * len(samples))
         return SightTarget(np.concatenate(samples), np.repeat(numbers, [len(points) for points in samples]))
 
@@ -122,16 +121,3 @@ class SceneView:
             extent = visible_extent(eyes[able], target.samples, visible)
             found[able] = np.where(rule.holds(visible, extent), extent[:, 0], 0.0)
         return found
-
-
-def _boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:
-    """Return the boxes of an object's parts, or its tightest known box, as (centre, half extents, axes); empty if the
-    object has neither.
-    """
-    oriented = item.parts or (() if item.obb is None else (item.obb,))
-    if oriented:
-        return [(box.center, box.half_extents, box.rotation) for box in oriented]
-    if item.box is None:
-        return []
-    low, high = item.box
-    return [((low + high) / 2, np.maximum(high - low, 0.0) / 2, np.eye(3))]

@@ -13,28 +13,13 @@ from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.metrics import keys_of
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.score import Score, ScoreRules, Sees, score
-from condvln.evaluation.task import Task
+from condvln.evaluation.task import AXES, Task
 from schemas.errors import FormatError
 
 if TYPE_CHECKING:
     from condvln.navigation.pathfinder import Pathfinder
 
 __all__ = ["AXES", "SWEPT", "Evaluation", "SeesOf", "columns_of", "evaluate"]
-
-AXES: Final = (
-    "source",
-    "scene",
-    "category",
-    "depth",
-    "chain",
-    "composition",
-    "observability",
-    "moves",
-    "leads",
-    "route",
-    "words",
-)
-"""Columns by which scores can be grouped."""
 
 SWEPT: Final = keys_of("sweep")
 """Measures that depend on the success distance; computed for each distance of a sweep."""

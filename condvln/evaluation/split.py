@@ -29,7 +29,7 @@ from condvln.evaluation.score import ScoreRules
 from condvln.evaluation.task import Task, read_tasks
 from condvln.evaluation.walker import Policy, walk
 from condvln.formats.regular_file import read_regular
-from condvln.manifest import manifest_lines, manifest_path, manifest_paths, read_manifest
+from condvln.manifest import export_manifests, manifest_lines, manifest_path, manifest_paths, read_manifest
 from condvln.navigation.follower import VLN_CE, ActionSpace
 from condvln.navigation.graph_pathfinder import GraphFolder
 from condvln.navigation.pathfinder import Pathfinder
@@ -266,8 +266,5 @@ def open_export(folder: PathLike, roots: Sequence[PathLike] = ()) -> Export:
     MissingFileError : the folder holds no export
     """
     path = Path(folder)
-    if not manifest_paths(path):
-        raise MissingFileError(
-            "no manifest/<split>.jsonl in this folder", where=path, remedy="Name the folder that condvln export wrote"
-        )
+    export_manifests(path)
     return Export(path, [Path(root) for root in roots])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +20,24 @@ from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
 from schemas.vlnce import GroundTruth
 
-__all__ = ["LeafTask", "LookingTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
+__all__ = ["AXES", "LeafTask", "LookingTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
 
 Points = npt.NDArray[np.float64]
+
+AXES: Final = (
+    "source",
+    "scene",
+    "category",
+    "depth",
+    "chain",
+    "composition",
+    "observability",
+    "moves",
+    "leads",
+    "route",
+    "words",
+)
+"""Columns by which scores can be grouped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,16 +149,9 @@ def task_of(row: ManifestEpisode, locations: Points | None = None, looking: Poin
         for leaf in sorted(row.leaves, key=lambda leaf: leaf.leaf)
     )
     gold = next(leaf for leaf in row.leaves if leaf.leaf == row.gold_leaf)
-    axes: dict[str, str | int | None] = {
-        "source": row.source,
+    axes = {axis: getattr(row, axis, None) for axis in AXES} | {
         "scene": f"{row.source}/{row.scene_id}",
-        "category": row.category,
-        "depth": row.depth,
-        "chain": row.chain,
-        "composition": row.composition,
         "observability": observability_class(row.observability, row.evidence_in_view),
-        "moves": row.moves,
-        "leads": row.leads,
         "route": route_class(row.route_length),
         "words": words_class(row.words),
     }

@@ -83,11 +83,7 @@ def _object(item: SceneObject, rooms: Mapping[str, int], seen: Mapping[str, Any]
         "support": item.support,
         "hidden": item.hidden,
         "structure": vocabulary.is_structure(item.label),
-        "seeable": seen.get("seeable"),
-        "share": seen.get("share"),
-        "places": seen.get("places"),
-        "from_places": seen.get("from_places"),
-        "nearest_view": seen.get("nearest_view"),
+        **{name: seen.get(name) for name in _SEEN},
     }
 
 
@@ -104,6 +100,7 @@ def _number(value: float) -> float | None:
     return round(float(value), _DECIMALS) if np.isfinite(value) else None
 
 
+_SEEN: Final = ("seeable", "share", "places", "from_places", "nearest_view")
 _METRICS: Final = ("used_distance", "surface_distance", "horizontal_distance")
 _SEMANTIC: Final = "semantic"
 

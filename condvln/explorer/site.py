@@ -22,10 +22,10 @@ import orjson
 from condvln.evaluation.metrics import metrics_of
 from condvln.explorer.agents import OUTCOMES, AgentResults
 from condvln.explorer.episode import episode_labels
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from schemas.errors import UsageError
 
-__all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes", "write_chunk"]
+__all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes"]
 
 Document = dict[str, Any]
 PAGE: Final = "index.html"
@@ -127,8 +127,7 @@ class Site:
         if not re.fullmatch(r"[a-zA-Z0-9-]+", name):
             raise ValueError(f"{name!r} is not the name of a picture")
         (self.out / FRAMES).mkdir(exist_ok=True)
-        with atomic_stream(self.out / FRAMES / f"{name}.png") as stream:
-            stream.write(data)
+        write_file(self.out / FRAMES / f"{name}.png", data)
         return f"{FRAMES}/{name}.png"
 
     def finish(
@@ -159,8 +158,7 @@ class Site:
         plotted = [[metric.key, metric.heading] for metric in metrics_of("plots")]
         self._write("agents", {"tables": list(tables), "measures": plotted})
         for name in PARTS:
-            with atomic_stream(self.out / (PAGE if name == "page.html" else name)) as stream:
-                stream.write(_PAGE_FILES.joinpath(name).read_bytes())
+            write_file(self.out / (PAGE if name == "page.html" else name), _PAGE_FILES.joinpath(name).read_bytes())
         return self.out / PAGE
 
     def _episodes(self, documents: list[Document], walks: Mapping[str, Document]) -> None:
@@ -180,7 +178,7 @@ class Site:
             self._texts = []
 
     def _write(self, name: str, document: Any) -> None:
-        write_chunk(self.out / DATA, name, document, self._level)
+        write_file(self.out / DATA / f"{name}.js", chunk_bytes(name, document, self._level))
 
 
 FRAMES: Final = "frames"
@@ -233,14 +231,6 @@ def chunk_bytes(name: str, document: Any, level: int = _LEVEL) -> bytes:
         raise ValueError(f"{name!r} is not the name of a chunk")
     packed = gzip.compress(orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY), level, mtime=0)
     return b'explorer.receive("%s", "%s");\n' % (name.encode(), base64.b64encode(packed))
-
-
-def write_chunk(folder: Path, name: str, document: Any, level: int = _LEVEL) -> Path:
-    """Write a chunk to ``<folder>/<name>.js``. Raises StoreError if the file can't be written."""
-    path = folder / f"{name}.js"
-    with atomic_stream(path) as stream:
-        stream.write(chunk_bytes(name, document, level))
-    return path
 
 
 NAMED: Final = ("split", "source", "category", "composition", "observability")

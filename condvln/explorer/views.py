@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.episodes.observability import places_at
 from condvln.sensors import cameras_of
 from condvln.sensors.renderer import Renderer, png
 from condvln.sensors.shading import shaded
@@ -65,4 +66,4 @@ def _spaced(path: F64, spacing: float) -> tuple[F64, F64]:
     """Return points (n, 3) along a path, at most `spacing` metres apart, and the metres walked to each, (n,)."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at: F64 = np.linspace(0.0, float(length[-1]), max(1, math.ceil(length[-1] / spacing)) + 1)
-    return np.column_stack([np.interp(at, length, path[:, axis]) for axis in range(3)]), at
+    return places_at(path, at), at

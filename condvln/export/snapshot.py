@@ -46,7 +46,7 @@ from condvln.export.tokens import Vocabulary
 from condvln.export.viewpoints import Graphs
 from condvln.export.vlnce import RXR_LANGUAGES
 from condvln.export.writer import ExportWriter, OracleText
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import atomic_stream, write_file
 from condvln.sources.family import composed_datasets
 from schemas.config import SplitsConfig
 from schemas.config.constants import STEP_CEILING
@@ -208,8 +208,7 @@ def export_snapshot(
             complete(new, report)
         document = report.document()
         document["digest"] = document_digest(document)
-        with atomic_stream(new / INDEX) as stream:
-            stream.write(_json(document))
+        write_file(new / INDEX, _json(document))
     return report
 
 
@@ -283,8 +282,7 @@ def _write_changelog(
     if former is not None and now is not None:  # the dataset card says so if the new export has no episodes
         text = with_entry(text, changes_between(former, now, before=before, now=generated))
     if text:
-        with atomic_stream(new / CHANGELOG) as stream:
-            stream.write(text.encode())
+        write_file(new / CHANGELOG, text.encode())
 
 
 def _choose(tables: FolderTables, splits: SplitsConfig, scenes: SceneTable) -> tuple[Selection, SplitCodes, Generated]:

@@ -234,10 +234,6 @@ class SceneTable:
             for source in tables.sources
         }
 
-    def row(self, source: str, scene: str) -> Row:
-        """Return one row of the table."""
-        return self._rows[source][scene]
-
     def barred(self, source: str) -> dict[str, str]:
         """Return the reason why a scene's episodes can't be published, by scene; scenes without such a reason are left
         out.

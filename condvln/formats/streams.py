@@ -32,6 +32,7 @@ __all__ = [
     "atomic_stream",
     "sync",
     "write_figure",
+    "write_file",
 ]
 
 GZIP_LEVEL: Final = 2
@@ -121,6 +122,18 @@ def atomic_stream(path: Path, level: int = GZIP_LEVEL, *, closing: bytes = b"") 
     except BaseException:
         stream.abandon()
         raise
+
+
+def write_file(path: Path, data: bytes) -> Path:
+    """Write a file atomically, packed if its name ends in ``.gz``, and return its path.
+
+    Raises
+    ------
+    StoreError : the file can't be written
+    """
+    with atomic_stream(path) as stream:
+        stream.write(data)
+    return path
 
 
 @contextmanager
@@ -216,5 +229,4 @@ def write_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int, meta
             f"{file.suffix!r} is not a format of pictures", where=file, remedy=f"Write to .{', .'.join(sorted(known))}."
         )
     figure.savefig(drawn, format=form, dpi=dpi, metadata=metadata)
-    with atomic_stream(file) as stream:
-        stream.write(drawn.getvalue())
+    write_file(file, drawn.getvalue())

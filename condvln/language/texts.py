@@ -12,8 +12,8 @@ from typing import Final
 
 from condvln.formats.json_document import JsonNode, parse_json
 from condvln.formats.json_entries import read_unpacked
-from condvln.manifest import manifest_lines, manifest_paths
-from schemas.errors import FormatError, MissingFileError
+from condvln.manifest import export_manifests, manifest_lines
+from schemas.errors import FormatError
 from schemas.program import Program
 
 __all__ = ["REMEDY", "InstructionText", "instruction_items", "read_texts"]
@@ -87,10 +87,7 @@ def read_texts(path: str | os.PathLike[str]) -> Iterator[InstructionText]:
 
 
 def _of_export(folder: Path) -> Iterator[InstructionText]:
-    paths = manifest_paths(folder)
-    if not paths:
-        raise MissingFileError("no manifest/<split>.jsonl in this folder", where=folder, remedy=REMEDY)
-    for path in paths:
+    for path in export_manifests(folder):
         for line in manifest_lines(path):
             row = line.row()
             yield InstructionText(row.instruction_text, row.category, row.program)

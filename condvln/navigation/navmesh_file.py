@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from condvln.formats.regular_file import read_regular
-from condvln.formats.streams import atomic_stream
+from condvln.formats.streams import write_file
 from condvln.navigation.settings import NavMeshSettings
 from condvln.navigation.tile import (
     BV_NODE,
@@ -169,8 +169,7 @@ def read_navmesh(path: str | os.PathLike[str]) -> NavMeshFile:
 
 def write_navmesh(path: str | os.PathLike[str], navmesh: NavMeshFile) -> None:
     """Write ``navmesh`` to ``path``, whole or not at all. Raises StoreError if it can't be written."""
-    with atomic_stream(Path(path)) as stream:
-        stream.write(navmesh.to_bytes())
+    write_file(Path(path), navmesh.to_bytes())
 
 
 def parse_navmesh(data: bytes, where: str | os.PathLike[str] = "<bytes>") -> NavMeshFile:

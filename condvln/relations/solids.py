@@ -167,12 +167,11 @@ def _winding_number(points: F64, triangles: F64) -> F64:
     return winding
 
 
-def solid_of(item: SceneObject, aabb: F64, mesh: WorldMesh | None) -> Solid:
-    """Return the best known solid of an object whose `aabb` (2, 3) is known."""
+def solid_of(item: SceneObject, mesh: WorldMesh | None) -> Solid:
+    """Return the best known solid of an object that has a box."""
     if mesh is not None and len(mesh.faces) > 0:
         return MeshSolid(mesh)
-    box = item.obb or OrientedBox((aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2, np.eye(3))
-    return BoxSolid(item.parts or (box,))
+    return BoxSolid(item.solids)
 
 
 def is_its_aabb(item: SceneObject, mesh: WorldMesh | None) -> bool:
@@ -215,7 +214,7 @@ def surface_distances(arrays: RoomArrays, aabb_distance: F64, within: float, mes
     rows, columns = np.nonzero(measured)
     solids: dict[int, Solid] = {}
     for k in np.unique(np.concatenate([rows, columns])).tolist():
-        solids[k] = solid_of(arrays.objects[k], np.array([arrays.aabb_min[k], arrays.aabb_max[k]]), found[k])
+        solids[k] = solid_of(arrays.objects[k], found[k])
     distance[rows, columns] = distance[columns, rows] = _distances(solids, rows, columns)
     np.fill_diagonal(distance, 0.0)
     return round_mm(distance)

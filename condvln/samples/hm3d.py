@@ -23,7 +23,7 @@ from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Layout
 from condvln.samples.models import DECIMALS, ROOT, Z_UP
-from condvln.samples.solid import CORNERS, FACES, floor_boxes, layout_glb, piece_corners, wall_boxes
+from condvln.samples.solid import FACES, box_corners, floor_boxes, layout_glb, piece_corners, wall_boxes
 
 __all__ = ["hm3d_files"]
 
@@ -101,17 +101,12 @@ def _instances(layout: Layout) -> Iterator[_Instance]:
         own, above = slabs[first:last], slabs[first:last].copy()
         above[:, :, 1] = [layout.ceiling, layout.ceiling + CEILING_THICKNESS]
         first = last
-        yield _Instance("floor", region, _corners(own), *UPPER)
-        yield _Instance("ceiling", region, _corners(above), *LOWER)
+        yield _Instance("floor", region, box_corners(own), *UPPER)
+        yield _Instance("ceiling", region, box_corners(above), *LOWER)
         for piece in layout.in_room(room.room_id):
             yield _Instance(piece.label.replace("_", " "), region, piece_corners(piece))
         if (nearest == region).any():
-            yield _Instance("wall", region, _corners(walls[nearest == region]))
-
-
-def _corners(boxes: F64) -> F64:
-    corners: F64 = np.take_along_axis(boxes[:, :, None, :], CORNERS[None, None], axis=1)[:, 0]
-    return corners
+            yield _Instance("wall", region, box_corners(walls[nearest == region]))
 
 
 def _colours(name: str, count: int) -> list[int]:

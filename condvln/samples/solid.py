@@ -16,7 +16,7 @@ from condvln.samples.catalogue import catalogue
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout
 from condvln.samples.models import box_placements, glb_of_cubes, part_boxes
 
-__all__ = ["FLOOR_THICKNESS", "floor_boxes", "layout_glb", "piece_corners", "wall_boxes"]
+__all__ = ["FLOOR_THICKNESS", "box_corners", "floor_boxes", "layout_glb", "piece_corners", "wall_boxes"]
 
 F64 = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ FACES: Final = np.array(
 def piece_corners(piece: Furniture) -> F64:
     """Return the corners (n, 8, 3) of the parts of a placed piece."""
     boxes = part_boxes(catalogue()[piece.kind].shape, piece.size)
-    placed: F64 = _corners(boxes) @ piece.yaw.matrix.T + np.array(piece.center)
+    placed: F64 = box_corners(boxes) @ piece.yaw.matrix.T + np.array(piece.center)
     return placed
 
 
@@ -124,7 +124,7 @@ def layout_glb(layout: Layout, frame: F64 | None = None) -> bytes:
     return glb_of_cubes(parts, frame)
 
 
-def _corners(boxes: F64) -> F64:
+def box_corners(boxes: F64) -> F64:
     """Return the corners (n, 8, 3) of boxes (n, 2, 3)."""
     corners: F64 = np.take_along_axis(boxes[:, :, None, :], CORNERS[None, None], axis=1)[:, 0]
     return corners

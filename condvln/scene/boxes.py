@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Final
 
@@ -9,9 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from condvln.scene.rotations import stored_matrix, stored_quaternion
-from condvln.scene.scene import OrientedBox, round_mm
+from condvln.scene.scene import OrientedBox, SceneObject, round_mm
 
-__all__ = ["aabb_of", "box_corners", "corners", "oriented_box", "placement", "rounded_box", "transform_points"]
+__all__ = [
+    "aabb_of",
+    "box_corners",
+    "corners",
+    "oriented_box",
+    "placement",
+    "rounded_box",
+    "transform_points",
+    "with_box",
+]
 
 F64 = NDArray[np.float64]
 
@@ -82,6 +92,12 @@ def oriented_box(local: ArrayLike, transform: F64) -> OrientedBox | None:
         rotation = rotation * np.array([1.0, 1.0, -1.0])
     centre = transform_points(transform, (box[0] + box[1])[None] / 2)[0]
     return OrientedBox(centre, (box[1] - box[0]) / 2 * scale, rotation)
+
+
+def with_box(item: SceneObject, box: OrientedBox) -> SceneObject:
+    """Return the object with the oriented box and what follows from it: the upright box and the radius."""
+    radius = float(np.ceil(np.linalg.norm(box.half_extents) * 1000) / 1000)
+    return replace(item, aabb=round_mm(aabb_of(box_corners(box))), obb=rounded_box(box), radius=radius)
 
 
 def rounded_box(box: OrientedBox) -> OrientedBox:

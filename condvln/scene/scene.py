@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,8 +58,7 @@ def round_mm(values: ArrayLike) -> F64:
     return rounded
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class OrientedBox:
+class OrientedBox(NamedTuple):
     """An oriented box: center (3,), half_extents (3,) in metres; rotation (3, 3) with the box's axes as columns."""
 
     center: F64
@@ -90,7 +89,7 @@ class SceneWarning:
 class SceneObject:
     """One object of a scene. Fields that describe its extent are None where they are unknown.
 
-    center (3,); aabb (2, 3) as [min, max]; size (3,) full extents; radius of a bounding sphere; all in metres.
+    center (3,); aabb (2, 3) as [min, max]; radius of a bounding sphere; all in metres.
     parts : oriented boxes that make up the object where one box is not its shape (a counter with a corner)
     receptacles : ids of the objects that it is in or on, as its source states; None if the source states none
     openness : how far it is open, 0 to 1, as its source states; 1 for a receptacle that can't be shut; None if unknown
@@ -105,7 +104,6 @@ class SceneObject:
     center: F64
     aabb: F64 | None = None
     obb: OrientedBox | None = None
-    size: F64 | None = None
     radius: float | None = None
     mesh: tuple[MeshPart, ...] = ()
     static: bool = True
@@ -118,15 +116,28 @@ class SceneObject:
 
     @property
     def box(self) -> F64 | None:
-        """The axis-aligned box (2, 3) in metres: `aabb`, else the box from `center` and `size`. None if neither `aabb`
-        nor `size` is known.
-        """
-        if self.aabb is not None or self.size is None:
-            return self.aabb
-        return round_mm([self.center - self.size / 2, self.center + self.size / 2])
+        """The axis-aligned box (2, 3) in metres: `aabb`."""
+        return self.aabb
 
     @property
-    def geometry(self) -> Literal["mesh", "obb", "aabb", "size", "radius", "none"]:
+    def solids(self) -> tuple[OrientedBox, ...]:
+        """The boxes that stand for the object: its parts, otherwise its oriented box, otherwise its upright one."""
+        if self.parts:
+            return self.parts
+        if self.obb is not None:
+            return (self.obb,)
+        if self.aabb is None:
+            return ()
+        low, high = self.aabb
+        return (OrientedBox((low + high) / 2, (high - low) / 2, np.eye(3)),)
+
+    @property
+    def size(self) -> F64 | None:
+        """The full extents (3,) of the axis-aligned box, in metres."""
+        return None if self.aabb is None else round_mm(self.aabb[1] - self.aabb[0])
+
+    @property
+    def geometry(self) -> Literal["mesh", "obb", "aabb", "radius", "none"]:
         """The kind of the best known geometry of this object."""
         if self.mesh:
             return "mesh"
@@ -134,8 +145,6 @@ class SceneObject:
             return "obb"
         if self.aabb is not None:
             return "aabb"
-        if self.size is not None:
-            return "size"
         return "radius" if self.radius is not None else "none"
 
 
@@ -181,7 +190,7 @@ class RoomArrays:
     """The objects of one room as arrays, sorted by object id; NaN where unknown.
 
     centers : (n, 3) metres
-    aabb_min, aabb_max : (n, 3) metres, from centre and size if not given
+    aabb_min, aabb_max : (n, 3) metres
     radius : (n,) metres
     hidden : (n,) inside something shut
     floor_y : height of the room's floor in metres; NaN if unknown

@@ -13,7 +13,7 @@ from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.glb_part import GlbPart, MaterialReader, Primitive, read_part
 from condvln.labels import vocabulary
-from condvln.scene import MeshPart, OrientedBox, Scene, SceneObject
+from condvln.scene import MeshPart, Scene, SceneObject
 from condvln.scene.boxes import transform_points
 from condvln.scene.meshes import coordinates_of, world_transforms
 from condvln.scene.scene import FLOOR_COLOUR, STRUCTURE, WALL_COLOUR, Colour, SceneGeometry, label_colour
@@ -69,14 +69,8 @@ def drawn_file(part: GlbPart, builder: SurfaceBuilder) -> DrawnFile:
             own = np.full(len(corners), material, np.int32)
             found.append((placed[:, turn], coordinates[:, turn], colours[:, turn], own))
     # A file without triangles was rejected when it was read.
-    return DrawnFile(
-        np.concatenate([piece[0] for piece in found]),
-        np.concatenate([piece[1] for piece in found]),
-        np.concatenate([piece[2] for piece in found]),
-        np.concatenate([piece[3] for piece in found]),
-        painter.unread,
-        painter.undecoded,
-    )
+    corners, coordinates, colours, materials = map(np.concatenate, zip(*found, strict=True))
+    return DrawnFile(corners, coordinates, colours, materials, painter.unread, painter.undecoded)
 
 
 def _faces(own: Primitive, painter: _Painter) -> tuple[F64, Floats, Bytes, int]:
@@ -238,7 +232,7 @@ def _owners_by_box(surfaces: Surfaces, scene: Scene) -> NDArray[np.int32]:
         (float(np.prod(half)), number, centre, half, axes)
         for number, item in enumerate(scene.objects)
         if not vocabulary.is_structure(item.label)
-        for centre, half, axes in _boxes(item.obb, item.box)
+        for centre, half, axes in item.solids
     ]
     for _, number, centre, half, axes in sorted(boxes, key=lambda box: (-box[0], box[1])):
         reach = float(np.abs(axes[0]) @ half) + MARGIN
@@ -247,15 +241,6 @@ def _owners_by_box(surfaces: Surfaces, scene: Scene) -> NDArray[np.int32]:
         inside = (np.abs((corners[near] - centre) @ axes) <= half + MARGIN).all(axis=(1, 2))
         owner[near[inside]] = number
     return owner
-
-
-def _boxes(obb: OrientedBox | None, box: F64 | None) -> list[tuple[F64, F64, F64]]:
-    """Return (centre, half extents, axes) of the oriented box if it is known, else of the axis-aligned box; empty if
-    neither is known.
-    """
-    if obb is not None:
-        return [(obb.center, obb.half_extents, obb.rotation)]
-    return [] if box is None else [(box.mean(axis=0), (box[1] - box[0]) / 2, np.eye(3))]
 
 
 def _drawn(scene: Scene, geometry: SceneGeometry, notes: Sequence[str]) -> Surfaces:

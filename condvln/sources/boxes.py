@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -23,17 +22,17 @@ from pydantic import Field, StringConstraints, ValidationError, ValidationInfo, 
 from condvln.formats.json_document import parse_json
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
-from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene.boxes import with_box
 from condvln.scene.rotations import Z_UP_TO_HABITAT, rotation_y
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.procthor_house import HouseWall, Opening
 from condvln.sources.procthor_solids import walls_with_openings
-from condvln.sources.regions import in_rooms, levelled
-from condvln.sources.scene_source import Note, Source, SourceOptions
+from condvln.sources.regions import in_rooms, levelled, made_room
+from condvln.sources.scene_source import FileSource, Note
 from condvln.sources.solids import Piece, floor, joined, object_boxes
 from condvln.sources.source import MAX_OBJECTS, InputLedger
 from schemas.base import Document
-from schemas.errors import ConfigError, FormatError, InputError
+from schemas.errors import FormatError, InputError
 
 __all__ = ["BoxScene", "BoxesSource"]
 
@@ -145,22 +144,21 @@ def _ids(items: Sequence[_Labelled]) -> list[str]:
     return [item.id or f"{item.label} {k}" for k, item in enumerate(items)]
 
 
-class BoxesSource(Source):
+class BoxesSource(FileSource):
     """Files ``<scene>.json`` of a folder and its direct subfolders."""
 
     family: ClassVar[str] = "boxes"
     bytes_per_object: ClassVar[float] = 120.0
     objects_per_room: ClassVar[float] = 10.0
 
-    def __init__(self, root: Path, options: SourceOptions) -> None:
-        super().__init__(root, options)
-        if not self._scenes() and not self._lost:
-            remedy = "Put a file <scene>.json for each scene there (docs/boxes.md), or correct the source's 'root'"
-            raise ConfigError("no scenes (*.json) are in this folder", where=root, remedy=remedy)
+    nothing: ClassVar[tuple[str, str]] = (
+        "scenes (*.json)",
+        "Put a file <scene>.json for each scene there (docs/boxes.md), or correct the source's 'root'",
+    )
 
     def listing(self) -> Iterator[tuple[str, Note]]:
         """See `Source.listing`."""
-        for scene_id, path in self._scenes().items():
+        for scene_id, path in self.scans().items():
             try:
                 value = parse_json(self.files.read(path, MAX_BYTES), str(self.root / path)).value
                 if not isinstance(value, dict) or not {"rooms", "objects"} & value.keys():
@@ -168,7 +166,7 @@ class BoxesSource(Source):
                     continue
             except InputError:
                 pass  # the reader says what is wrong with it
-            yield scene_id, partial(self._note, scene_id, path)
+            yield scene_id, partial(self.note, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
         """Return one scene; see `Source.read`."""
@@ -198,7 +196,7 @@ class BoxesSource(Source):
         ------
         FormatError : not JSON, or keys are missing or wrong; the message names all of them
         """
-        path = self.path_of(scene_id, self._scenes())
+        path = self.path_of(scene_id, self.scans())
         where = str(self.root / path)
         value = parse_json(self.files.read(path, MAX_BYTES), where).value
         try:
@@ -212,31 +210,26 @@ class BoxesSource(Source):
     def _rooms(self, document: BoxScene) -> tuple[Room, ...]:
         return levelled(
             tuple(
-                Room(
-                    room_id=own,
-                    raw_label=room.label,
-                    label=vocabulary.room_type(room.label, self.family),
-                    level=0,
-                    floor_y=float(round_mm(room.floor)),
-                    ceiling_y=float(round_mm(room.floor + room.height)),
-                    polygon=round_mm([document.ground(corner) for corner in room.polygon]),
-                    annotation="dataset",
-                    complete=True,
+                made_room(
+                    self.family,
+                    own,
+                    room.label,
+                    (room.floor, room.floor + room.height),
+                    round_mm([document.ground(corner) for corner in room.polygon]),
                 )
                 for room, own in zip(document.rooms, _ids(document.rooms), strict=True)
             )
         )
 
-    def _scenes(self) -> dict[str, str]:
+    def scans(self) -> dict[str, str]:
         """Return the path of each scene's file by scene id, sorted; the subfolder is part of the id."""
         return {path.removesuffix(".json"): path for path in sorted(self.matching("*.json", "*/*.json"))}
 
-    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        ledger.file(path)
+    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        """See `FileSource.note`."""
+        super().note(scene_id, path, ledger)
         document = self.document(scene_id)
         ledger.rooms, ledger.objects = len(document.rooms), len(document.objects)
-        self.drawn_rooms([posixpath.basename(scene_id)], ledger)
-        self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
 
 
 def _fault(error: Mapping[str, Any]) -> str:
@@ -258,18 +251,8 @@ def _object(document: BoxScene, item: BoxObject, own: str) -> SceneObject:
     turn = Z_UP_TO_HABITAT if document.up == "z" else np.eye(3)
     size = np.abs(turn @ np.array(item.size))
     box = OrientedBox(turn @ np.array(item.center), size / 2, rotation_y(math.radians(item.yaw)))
-    aabb = round_mm(aabb_of(box_corners(box)))
-    return SceneObject(
-        object_id=own,
-        room_id="",
-        raw_label=item.label,
-        label=vocabulary.canonical(item.label, BoxesSource.family),
-        center=round_mm(box.center),
-        aabb=aabb,
-        obb=rounded_box(box),
-        size=round_mm(aabb[1] - aabb[0]),
-        radius=float(np.ceil(np.linalg.norm(size) / 2 * 1000) / 1000),
-    )
+    label = vocabulary.canonical(item.label, BoxesSource.family)
+    return with_box(SceneObject(own, "", item.label, label, round_mm(box.center)), box)
 
 
 def _structure(document: BoxScene) -> list[Piece]:

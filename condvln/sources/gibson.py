@@ -5,7 +5,6 @@ Boxes are axis-aligned in the mesh's z-up frame; ``floor_area`` in the files is 
 
 from __future__ import annotations
 
-import posixpath
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
@@ -17,9 +16,9 @@ from numpy.typing import NDArray
 
 from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
-from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene import Room, Scene, SceneObject, SceneWarning, round_mm
 from condvln.scene.rotations import Z_UP_TO_HABITAT
-from condvln.sources.regions import LEVEL_STEP, in_rooms
+from condvln.sources.regions import LEVEL_STEP, in_rooms, made_room
 from condvln.sources.scene_graph import MAX_GRAPH_BYTES, read_npz, read_scn
 from condvln.sources.scene_source import ScanSource
 from condvln.sources.source import MAX_OBJECTS, InputLedger
@@ -66,30 +65,19 @@ class GibsonSource(ScanSource):
             named = {node["id"].integer() for node in nodes if node.get("floor_number") is not None}
             room_of, off_level = _with_floors_of_levels(room_of, named)
         rooms = tuple(room_of.values())
-        if drawn := self.drawn_rooms([posixpath.basename(scene_id)], ledger):
+        if drawn := self.drawn_rooms(self.names(scene_id, path), ledger):
             rooms, room_of, left_out, off_level = drawn, {}, {}, []
         items, warnings = _objects(document, self.family, room_of, left_out)
         rooms = rooms or (_whole(items, self.family, complete),)
         placed, lost = in_rooms((o for o in items if not o.room_id), rooms)
         placed += [o for o in items if o.room_id]
-        stage, navmeshes = self._beside(scene_id, path, ledger)
+        stage, navmeshes = self.beside(scene_id, path, ledger)
         said = [*warnings, *lost, *left_out.values(), *off_level]
         return self.made(scene_id, rooms, placed, said, navmeshes, stage)
 
-    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        """See `ScanSource.note`."""
-        ledger.file(path)
-        self.drawn_rooms([posixpath.basename(scene_id)], ledger)
-        self._beside(scene_id, path, ledger)
-
-    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the building's mesh and the possible paths of its navmesh. Both are looked for beside the annotation
-        and in the root folder.
-        """
-        name, folder = posixpath.basename(scene_id), posixpath.dirname(path)
-        folders = list(dict.fromkeys([folder, ""]))
-        bare = [posixpath.join(folder, name) for folder in folders]
-        return self.scan_files(name, [f"{b}.glb" for b in bare], [f"{b}.navmesh" for b in bare], ledger)
+    def folders(self, folder: str) -> list[str]:
+        """Return the folder of the annotation and the root folder; see `ScanSource.folders`."""
+        return [folder, ""]
 
     def scans(self) -> dict[str, str]:
         """Return the path of each building's annotation by scene id, sorted."""
@@ -150,15 +138,13 @@ def _rooms(document: JsonNode, family: str, complete: bool) -> tuple[dict[int, R
             left_out[number] = SceneWarning("room_without_box", f"{raw}_{number}", f"{_no_box(node)}: left out")
             continue
         (x0, y0, z0), (x1, y1, z1) = round_mm(box).tolist()
-        rooms[number] = Room(
-            room_id=f"{raw}_{number}",
-            raw_label=raw,
-            label=vocabulary.room_type(raw, family),
+        rooms[number] = made_room(
+            family,
+            f"{raw}_{number}",
+            raw,
+            (y0, y1),
+            np.array([[x0, z0], [x0, z1], [x1, z1], [x1, z0]]),
             level=0 if floor is None else level_of[floor.text()],
-            floor_y=y0,
-            ceiling_y=y1,
-            polygon=np.array([[x0, z0], [x0, z1], [x1, z1], [x1, z0]]),
-            annotation="dataset",
             complete=complete,
             asked=complete,
         )
@@ -241,17 +227,14 @@ def _objects(
             )
         elif room is None and room_of:
             parent.fail(f"there is no room {parent.value}")
-        centre = round_mm(Z_UP_TO_HABITAT @ location.vector(3))
-        aabb = None if box is None else round_mm(box)
         items.append(
             SceneObject(
                 object_id=object_id,
                 room_id="" if room is None else room.room_id,
                 raw_label=raw,
                 label=vocabulary.canonical(raw, family),
-                center=centre,
-                aabb=aabb,
-                size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
+                center=round_mm(Z_UP_TO_HABITAT @ location.vector(3)),
+                aabb=None if box is None else round_mm(box),
                 radius=None if box is None else float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
             )
         )
@@ -261,15 +244,6 @@ def _objects(
 def _whole(items: list[SceneObject], family: str, complete: bool) -> Room:
     """Return the one room of a building without annotated rooms."""
     ends = [y for o in items for y in (o.center[1:2] if o.aabb is None else o.aabb[:, 1])]
-    return Room(
-        room_id="building",
-        raw_label="building",
-        label=vocabulary.room_type("apartment", family),
-        level=0,
-        floor_y=float(min(ends, default=0.0)),
-        ceiling_y=float(max(ends, default=0.0)),
-        polygon=None,
-        annotation="scene",
-        complete=complete,
-        asked=complete,
-    )
+    heights = float(min(ends, default=0.0)), float(max(ends, default=0.0))
+    room = made_room(family, "building", "apartment", heights, None, annotation="scene", complete=complete)
+    return replace(room, raw_label="building", asked=complete)

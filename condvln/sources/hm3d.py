@@ -14,7 +14,7 @@ import posixpath
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Final
 
@@ -31,7 +31,7 @@ from condvln.scene.rotations import Z_UP_TO_HABITAT
 from condvln.scene.scene import check_limits
 from condvln.sources.family import FAMILIES
 from condvln.sources.painted_mesh import Paint, read_paint
-from condvln.sources.regions import in_rooms, levelled, typed_by_contents
+from condvln.sources.regions import in_rooms, levelled, made_room, typed_by_contents
 from condvln.sources.scene_source import ScanSource
 from condvln.sources.source import MAX_OBJECTS, UNKNOWN_LABEL, InputLedger
 from schemas.errors import FormatError, MissingFileError
@@ -116,7 +116,7 @@ class Hm3dSource(ScanSource):
             said.append(SceneWarning("unpainted_area", mesh, message))
         items, unseen = _objects(instances, paint, self.family)
         said += unseen
-        if drawn := self.drawn_rooms([posixpath.basename(scene_id), _scan(path)], ledger):
+        if drawn := self.drawn_rooms(self.names(scene_id, path), ledger):
             items, lost = in_rooms(items, drawn)
             rooms = drawn
         else:
@@ -126,16 +126,14 @@ class Hm3dSource(ScanSource):
             items = [item for item in items if item.room_id in known] + placed
             rooms = typed_by_contents(rooms, items)
         check_limits(Scene(self.family, scene_id, self.root, rooms, tuple(items)), self.options.limits)
-        stage, navmeshes = self._beside(path, ledger)
+        stage, navmeshes = self.beside(scene_id, path, ledger)
         return self.made(scene_id, rooms, items, [*said, *lost], navmeshes, stage)
 
     def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        """See `ScanSource.note`."""
-        ledger.file(path)
+        """See `FileSource.note`."""
+        super().note(scene_id, path, ledger)
         ledger.file(self._painted(path))
-        self.drawn_rooms([posixpath.basename(scene_id), _scan(path)], ledger)
         self._proposals(scene_id, ledger)
-        self._beside(path, ledger)
         instances = self._instances(path)
         ledger.objects = len(instances)
         ledger.rooms = len({one.region for one in instances} - {NO_REGION})
@@ -166,7 +164,11 @@ class Hm3dSource(ScanSource):
     def _instances(self, path: str) -> list[_Instance]:
         return _read_list(self.files.read(path, MAX_LIST_BYTES), str(self.root / path))
 
-    def _beside(self, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+    def names(self, scene_id: str, path: str) -> list[str]:
+        """Return the names of the scan in the release and of its files; see `FileSource.names`."""
+        return [posixpath.basename(scene_id), _scan(path)]
+
+    def beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
         """Return the scan's mesh and the possible paths of its navmesh. Where the mesh with photographs is not there,
         the painted one has the same faces.
         """
@@ -322,7 +324,6 @@ def _objects(instances: Sequence[_Instance], paint: Paint, family: str) -> tuple
                 center=round_mm((box[0] + box[1]) / 2),
                 # The paint of a wall may go round a room, so that a box would fill the room.
                 aabb=None if building else box,
-                size=None if building else round_mm(box[1] - box[0]),
                 radius=float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
             )
         )
@@ -357,17 +358,10 @@ def _room(region: int, proposal: str, held: Mapping[int, str | None], paint: Pai
     ceiling_y = _median(paint.low[ceiling, 1], paint.area[ceiling]) if len(ceiling) else top
     # The proposal does not tell them apart, and a stairwell is no hallway.
     untold = proposal.startswith(TIE) or (proposal == HALL and STEPS in held.values())
-    return Room(
-        room_id=_room_id(region),
-        raw_label=proposal,
-        label=vocabulary.room_type(UNTYPED if untold else proposal, family),
-        level=0,
-        floor_y=float(round_mm(floor_y)),
-        ceiling_y=float(round_mm(ceiling_y if ceiling_y > floor_y else max(top, floor_y))),
-        polygon=outline,
-        annotation="dataset",
-        complete=None not in held.values(),
-    )
+    heights = floor_y, ceiling_y if ceiling_y > floor_y else max(top, floor_y)
+    named = UNTYPED if untold else proposal
+    room = made_room(family, _room_id(region), named, heights, outline, complete=None not in held.values())
+    return replace(room, raw_label=proposal)
 
 
 def _median(heights: F64, areas: F64) -> float:

@@ -4,7 +4,6 @@ structure.
 
 from __future__ import annotations
 
-import posixpath
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,12 +17,12 @@ from numpy.typing import NDArray
 
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.labels import vocabulary
-from condvln.scene import MeshPart, OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
-from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
+from condvln.scene.boxes import box_corners, rounded_box, with_box
 from condvln.scene.rotations import Z_UP_TO_HABITAT
 from condvln.scene.scene import check_limits
 from condvln.sources.house_file import HouseFile, HouseObject, HouseRegion, read_house_file
-from condvln.sources.regions import in_rooms, typed_by_contents
+from condvln.sources.regions import in_rooms, made_room, typed_by_contents
 from condvln.sources.scene_source import ScanSource
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from schemas.errors import FormatError
@@ -78,7 +77,7 @@ class Mp3dSource(ScanSource):
             rooms = drawn
             items, warnings = in_rooms(items, drawn)
         rooms = typed_by_contents(rooms, items)
-        stage, navmeshes = self._beside(scene_id, path, ledger)
+        stage, navmeshes = self.beside(scene_id, path, ledger)
         return self.made(scene_id, rooms, items, warnings, navmeshes, stage)
 
     def house(self, scene_id: str) -> HouseFile:
@@ -95,10 +94,8 @@ class Mp3dSource(ScanSource):
         return read_house_file(self.files.read(path, MAX_HOUSE_BYTES), str(self.root / path)), path
 
     def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        """See `ScanSource.note`."""
-        ledger.file(path)
-        self.drawn_rooms([scene_id], ledger)
-        self._beside(scene_id, path, ledger)
+        """See `FileSource.note`."""
+        super().note(scene_id, path, ledger)
         graph = self.connectivity(scene_id)
         if graph is not None:
             ledger.record(f"{GRAPHS}/{graph.name}", DatasetRoot(graph.parent).read(graph.name, MAX_GRAPH_BYTES))
@@ -108,20 +105,15 @@ class Mp3dSource(ScanSource):
         path = self.scans().get(scene_id)
         if path is None:
             return None
-        stage, navmeshes = self._beside(scene_id, path, InputLedger())
+        stage, navmeshes = self.beside(scene_id, path, InputLedger())
         if stage or any(self.files.has(navmesh) for navmesh in navmeshes):
             return None
         graph = (self.options.connectivity or self.root / GRAPHS) / f"{scene_id}_connectivity.json"
         return graph if graph.is_file() else None
 
-    def _beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
-        """Return the scan's mesh and the possible paths of its navmesh. Both are looked for in the scan's folder and
-        beside its ``.house`` file.
-        """
-        folder = posixpath.dirname(path)
-        folders = list(dict.fromkeys([folder.removesuffix("/house_segmentations"), folder]))
-        bare = [f"{folder}/{scene_id}" for folder in folders]
-        return self.scan_files(scene_id, [f"{b}.glb" for b in bare], [f"{b}.navmesh" for b in bare], ledger)
+    def folders(self, folder: str) -> list[str]:
+        """Return the scan's folder and that of its ``.house`` file; see `ScanSource.folders`."""
+        return [folder.removesuffix("/house_segmentations"), folder]
 
     def scans(self) -> dict[str, str]:
         """Return the path of each scan's ``.house``, sorted; if a scan is present in several folder structures, the
@@ -153,17 +145,8 @@ def _room(region: HouseRegion, family: str, where: str) -> Room:
             )
         largest = max(parts, key=lambda p: float(p.area))
         corners = round_mm(np.array(largest.exterior.coords)[:-1])
-    return Room(
-        room_id=f"region_{region.index}",
-        raw_label=region.label,
-        label=vocabulary.room_type(region.label, family),
-        level=region.level,
-        floor_y=float(round_mm(region.floor)),
-        ceiling_y=float(round_mm(region.floor + region.height)),
-        polygon=corners,
-        annotation="dataset",
-        complete=True,
-    )
+    heights = region.floor, region.floor + region.height
+    return made_room(family, f"region_{region.index}", region.label, heights, corners, level=region.level)
 
 
 def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[list[SceneObject], list[SceneWarning]]:
@@ -182,20 +165,15 @@ def _objects(house: HouseFile, room_of: dict[int, Room], family: str) -> tuple[l
         if box is None:
             why = "its axes are not a frame" if sized else "a half length is negative"
             warnings.append(SceneWarning("no_box", object_id, f"{why}: extent unknown"))
-        aabb = None if box is None else round_mm(aabb_of(box_corners(box)))
-        items.append(
-            SceneObject(
-                object_id=object_id,
-                room_id=room_of[entry.region].room_id,
-                raw_label=raw,
-                label=vocabulary.canonical(raw, family),
-                center=round_mm(Z_UP_TO_HABITAT @ entry.centre),
-                aabb=aabb,
-                obb=None if box is None else rounded_box(box),
-                size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
-                radius=float(np.ceil(np.linalg.norm(entry.half_lengths) * 1000) / 1000) if sized else None,
-            )
+        item = SceneObject(
+            object_id=object_id,
+            room_id=room_of[entry.region].room_id,
+            raw_label=raw,
+            label=vocabulary.canonical(raw, family),
+            center=round_mm(Z_UP_TO_HABITAT @ entry.centre),
+            radius=float(np.ceil(np.linalg.norm(entry.half_lengths) * 1000) / 1000) if sized else None,
         )
+        items.append(item if box is None else with_box(item, box))
     return items, warnings
 
 
@@ -301,7 +279,7 @@ def _joined(slices: Sequence[SceneObject]) -> SceneObject:
     box = None
     if largest.obb is not None:
         axes = largest.obb.rotation
-        corners = np.concatenate([_corners(item) for item in slices]) @ axes
+        corners = np.concatenate([box_corners(box) for item in slices for box in item.solids]) @ axes
         low, high = corners.min(axis=0), corners.max(axis=0)
         box = rounded_box(OrientedBox(axes @ ((low + high) / 2), (high - low) / 2, axes))
     half = (aabb[1] - aabb[0]) / 2 if box is None else box.half_extents
@@ -311,16 +289,8 @@ def _joined(slices: Sequence[SceneObject]) -> SceneObject:
         center=round_mm(aabb.mean(axis=0) if box is None else box.center),
         aabb=aabb,
         obb=box,
-        size=round_mm(aabb[1] - aabb[0]),
         radius=float(np.ceil(np.linalg.norm(half) * 1000) / 1000),
     )
-
-
-def _corners(item: SceneObject) -> F64:
-    assert item.aabb is not None
-    if item.obb is not None:
-        return box_corners(item.obb)
-    return box_corners(OrientedBox(item.aabb.mean(axis=0), (item.aabb[1] - item.aabb[0]) / 2, np.eye(3)))
 
 
 def _volume(item: SceneObject) -> float:

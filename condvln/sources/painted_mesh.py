@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -326,8 +326,7 @@ def _cut(rows: F64, longest: float, where: str, first: int = 0) -> tuple[F64, In
     return np.concatenate(small), np.concatenate(owners)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Table:
+class _Table(NamedTuple):
     """Cells by key: the instance's number above three coordinates of the cell."""
 
     key: Ints
@@ -345,14 +344,7 @@ def _gathered(instance: Ints, corners: F64, area: F64, where: str) -> _Table:
 
 
 def _joined(tables: list[_Table]) -> _Table:
-    return _reduced(
-        _Table(
-            np.concatenate([table.key for table in tables]),
-            np.concatenate([table.low for table in tables]),
-            np.concatenate([table.high for table in tables]),
-            np.concatenate([table.area for table in tables]),
-        )
-    )
+    return _reduced(_Table(*map(np.concatenate, zip(*tables, strict=True))))
 
 
 def _reduced(table: _Table) -> _Table:

@@ -28,11 +28,11 @@ from condvln.formats.json_lines import MAX_LINE_BYTES, JsonLines
 from condvln.kept import kept
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
-from condvln.scene.boxes import aabb_of, box_corners, rounded_box
+from condvln.scene.boxes import with_box
 from condvln.scene.scene import SceneGeometry
 from condvln.sources.procthor_house import FILE_NAMES, Asset, AssetDatabase, House, HouseObject, read_house
 from condvln.sources.procthor_solids import counter_parts, house_structure
-from condvln.sources.regions import check_polygon, in_rooms
+from condvln.sources.regions import check_polygon, in_rooms, made_room
 from condvln.sources.replicacad import Assembly, ReplicaCadSource
 from condvln.sources.scene_source import Note, SceneChoice, Source, SourceOptions
 from condvln.sources.solids import joined, object_boxes
@@ -349,16 +349,12 @@ class ProcthorSource(Source):
             tops[wall.room_id] = max(tops[wall.room_id], wall.top)
         highest = max(tops.values(), default=0.0)
         return tuple(
-            Room(
-                room_id=room.room_id,
-                raw_label=room.room_type,
-                label=vocabulary.room_type(room.room_type, self.family),
-                level=0,
-                floor_y=0.0,
-                ceiling_y=float(round_mm(tops.get(room.room_id, highest))),
-                polygon=check_polygon(room.polygon, room.node["floorPolygon"]),
-                annotation="dataset",
-                complete=True,
+            made_room(
+                self.family,
+                room.room_id,
+                room.room_type,
+                (0.0, tops.get(room.room_id, highest)),
+                check_polygon(room.polygon, room.node["floorPolygon"]),
             )
             for room in house.rooms
         )
@@ -371,37 +367,20 @@ class ProcthorSource(Source):
         if raw is None:
             prefix = item.object_id.split("|")[0]
             raw = prefix if prefix in vocabulary.raw_labels(self.family) else UNKNOWN_LABEL
-        label = vocabulary.canonical(raw, self.family)
-        centre = round_mm(item.position)
-        receptacles = () if item.parent_id is None else (item.parent_id,)
-        if asset is None or asset.size is None:
-            return SceneObject(
-                item.object_id,
-                "",
-                raw,
-                label,
-                centre,
-                static=item.kinematic,
-                receptacles=receptacles,
-                openness=item.openness,
-            )
-        box = OrientedBox(item.position, asset.size / 2, item.rotation)
-        aabb = round_mm(aabb_of(box_corners(box)))
-        return SceneObject(
+        found = SceneObject(
             object_id=item.object_id,
             room_id="",
             raw_label=raw,
-            label=label,
-            center=centre,
-            aabb=aabb,
-            obb=rounded_box(box),
-            size=round_mm(aabb[1] - aabb[0]),
-            radius=float(np.ceil(np.linalg.norm(asset.size) / 2 * 1000) / 1000),
+            label=vocabulary.canonical(raw, self.family),
+            center=round_mm(item.position),
             static=item.kinematic,
-            parts=counter_parts(item.asset_id, item.position, asset.size, item.rotation),
-            receptacles=receptacles,
+            receptacles=() if item.parent_id is None else (item.parent_id,),
             openness=item.openness,
         )
+        if asset is None or asset.size is None:
+            return found
+        parts = counter_parts(item.asset_id, item.position, asset.size, item.rotation)
+        return replace(with_box(found, OrientedBox(item.position, asset.size / 2, item.rotation)), parts=parts)
 
 
 def _with_parents_rooms(

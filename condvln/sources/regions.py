@@ -26,6 +26,7 @@ __all__ = [
     "check_polygon",
     "in_rooms",
     "levelled",
+    "made_room",
     "read_regions",
     "side_regions",
     "typed_by_contents",
@@ -49,6 +50,24 @@ LEVEL_STEP: Final = 1.0
 """Least height difference in metres between the floors of two levels."""
 
 
+def made_room(
+    family: str,
+    room_id: str,
+    raw_label: str,
+    heights: tuple[float, float],
+    polygon: NDArray[np.float64] | None,
+    *,
+    level: int = 0,
+    annotation: Literal["dataset", "user", "scene"] = "dataset",
+    complete: bool = True,
+    asked: bool = True,
+) -> Room:
+    """Return a room whose type follows from its raw label; `heights` are those of its floor and its ceiling."""
+    floor_y, ceiling_y = (float(round_mm(height)) for height in heights)
+    label = vocabulary.room_type(raw_label, family)
+    return Room(room_id, raw_label, label, level, floor_y, ceiling_y, polygon, annotation, complete, asked)
+
+
 def read_regions(annotations: JsonNode, annotation: Literal["dataset", "user"], family: str) -> tuple[Room, ...]:
     """Return the rooms of a ``region_annotations`` array, sorted by id (the region's name).
 
@@ -69,17 +88,8 @@ def read_regions(annotations: JsonNode, annotation: Literal["dataset", "user"], 
         if height <= 0:
             node["extrusion_height"].fail("the height must be positive")
         corners = np.array([corner.vector(3)[[0, 2]] for corner in node["poly_loop"].elements()])
-        rooms[name] = Room(
-            room_id=name,
-            raw_label=raw,
-            label=vocabulary.room_type(raw, family),
-            level=0,
-            floor_y=float(round_mm(floor_y)),
-            ceiling_y=float(round_mm(floor_y + height)),
-            polygon=check_polygon(corners.reshape(-1, 2), node["poly_loop"]),
-            annotation=annotation,
-            complete=True,
-        )
+        polygon = check_polygon(corners.reshape(-1, 2), node["poly_loop"])
+        rooms[name] = made_room(family, name, raw, (floor_y, floor_y + height), polygon, annotation=annotation)
     return levelled(tuple(rooms[name] for name in sorted(rooms)))
 
 

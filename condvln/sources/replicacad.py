@@ -23,7 +23,7 @@ from condvln.scene import MeshPart, Room, Scene, SceneObject, SceneWarning, roun
 from condvln.scene.boxes import aabb_of, oriented_box, rounded_box, transform_points
 from condvln.scene.meshes import shared_library
 from condvln.scene.scene import SceneGeometry
-from condvln.sources.regions import in_rooms, read_regions
+from condvln.sources.regions import in_rooms, made_room, read_regions
 from condvln.sources.scene_dataset import Lexicon, SceneDataset, Template, read_descriptors
 from condvln.sources.scene_instance import Body, BodyReader, Placed, SceneInstance, read_scene_instance
 from condvln.sources.scene_source import Note, Source, SourceOptions
@@ -78,25 +78,15 @@ class ReplicaCadSource(Source):
     def scene(self, scene_id: str) -> Scene:
         """Return one scene; see `Source.read`. Shared files are read again, so that corrections take effect."""
         dataset = SceneDataset(self.files)
-        path = dataset.scenes().get(scene_id)
-        if path is None:
-            raise self.not_there(scene_id)
+        path = self.path_of(scene_id, dataset.scenes())
         assembly = self._assemble(dataset, scene_id, path, InputLedger())
         objects = self._objects(assembly.bodies)
         rooms = self._rooms(scene_id, assembly, objects)
         objects, lost = in_rooms(objects, rooms)
         unnamed = {o.room_id for o in objects if o.raw_label == UNKNOWN_LABEL}
-        return Scene(
-            family=self.family,
-            scene_id=scene_id,
-            root=self.root,
-            # If some object has no label, no absence can be claimed.
-            rooms=tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms),
-            objects=tuple(sorted(objects, key=lambda o: o.object_id)),
-            shipped_navmeshes=assembly.navmeshes,
-            stage=assembly.stage,
-            warnings=tuple(sorted({*assembly.warnings, *lost}, key=lambda w: (w.code, w.where, w.message))),
-        )
+        # If some object has no label, no absence can be claimed.
+        rooms = tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms)
+        return self.made(scene_id, rooms, objects, [*assembly.warnings, *lost], assembly.navmeshes, assembly.stage)
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
         """Return the meshes of the stage and of all objects; see `Source.geometry`. None if the stage's mesh is
@@ -175,7 +165,6 @@ class ReplicaCadSource(Source):
             center=centre,
             aabb=aabb,
             obb=None if obb is None else rounded_box(obb),
-            size=round_mm(aabb[1] - aabb[0]),
             radius=float(np.ceil(np.linalg.norm(world - centre, axis=1).max() * 1000) / 1000),
             mesh=parts,
             static=body.placed.static,
@@ -187,17 +176,8 @@ def _whole_scene(objects: Sequence[SceneObject], family: str) -> Room:
     boxes = np.array([o.aabb for o in objects if o.aabb is not None]).reshape(-1, 2, 3)
     bottoms, tops = boxes[:, 0, 1], boxes[:, 1, 1]
     standing = bottoms[bottoms <= bottoms.min(initial=np.inf) + FLOOR_BAND]
-    return Room(
-        room_id=WHOLE_SCENE,
-        raw_label=WHOLE_SCENE,
-        label=vocabulary.room_type(WHOLE_SCENE, family),
-        level=0,
-        floor_y=float(round_mm(np.median(standing))) if len(boxes) else 0.0,
-        ceiling_y=float(tops.max(initial=0.0)),
-        polygon=None,
-        annotation="scene",
-        complete=True,
-    )
+    heights = float(np.median(standing)) if len(boxes) else 0.0, float(tops.max(initial=0.0))
+    return made_room(family, WHOLE_SCENE, WHOLE_SCENE, heights, None, annotation="scene")
 
 
 TABLE: Final = "semantics/objects.csv"

@@ -342,12 +342,7 @@ def _linked_lexicon(dataset: SceneDataset, path: str, ledger: InputLedger) -> Le
     if named is None:
         return None
     linked = dataset.root.join(posixpath.dirname(path), named.text(), where=named.where, place=named.place)
-    if not dataset.root.has(linked):
-        raise MissingFileError(
-            "the semantic lexicon file does not exist",
-            where=dataset.root.folder / linked,
-            remedy=f"Download it again, or correct {key!r} in {named.where}",
-        )
+    _require(dataset, linked, key, named)
     ledger.entry(path, key, named.value)
     document = dataset.document(linked).object()
     return Lexicon(linked, document) if "classes" in document else None
@@ -363,10 +358,14 @@ def _descriptor_path(dataset: SceneDataset, scene_name: str, named: JsonNode, le
         path = dataset.root.join("", entry.text(), where=entry.where, place=entry.place)
     else:
         path = dataset.described(kind, handle) or dataset.root.join("", handle, where=named.where, place=named.place)
+    _require(dataset, path, named.place or kind, named)
+    return path
+
+
+def _require(dataset: SceneDataset, path: str, key: str, named: JsonNode) -> None:
     if not dataset.root.has(path):
         raise MissingFileError(
             "the semantic lexicon file does not exist",
             where=dataset.root.folder / path,
-            remedy=f"Download it again, or correct {named.place or kind!r} in {named.where}",
+            remedy=f"Download it again, or correct {key!r} in {named.where}",
         )
-    return path

@@ -28,6 +28,7 @@ from schemas.errors import ConfigError, InputError, MissingFileError, PointerErr
 
 __all__ = [
     "Absence",
+    "FileSource",
     "Note",
     "ScanSource",
     "SceneChoice",
@@ -387,30 +388,54 @@ class Source(ABC):
         return SceneCounts(round(objects, 1), round(max(rooms, 1.0), 1), navmesh, meshes)
 
 
-class ScanSource(Source):
-    """A family of scans: each is one file, with a mesh and a navmesh beside it."""
+class FileSource(Source):
+    """A family whose scenes are one file each; what else a scene is read from lies beside its file."""
 
     nothing: ClassVar[tuple[str, str]]
-    """What is not in a folder without scans, and what to do."""
+    """What is not in a folder without scenes, and what to do."""
 
     def __init__(self, root: Path, options: SourceOptions) -> None:
         super().__init__(root, options)
-        if not self.scans():
+        if not self.scans() and not self._lost:
             what, remedy = self.nothing
             raise ConfigError(f"no {what} are in this folder", where=root, remedy=remedy)
 
     @abstractmethod
     def scans(self) -> dict[str, str]:
-        """Return the path of each scan's file, sorted by scene id."""
-
-    @abstractmethod
-    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        """Note what a scan is read from."""
+        """Return the path of each scene's file, sorted by scene id."""
 
     def listing(self) -> Iterator[tuple[str, Note]]:
         """See `Source.listing`."""
         for scene_id, path in self.scans().items():
             yield scene_id, partial(self.note, scene_id, path)
+
+    def note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
+        """Note what a scene is read from."""
+        ledger.file(path)
+        self.drawn_rooms(self.names(scene_id, path), ledger)
+        self.beside(scene_id, path, ledger)
+
+    def names(self, scene_id: str, path: str) -> list[str]:
+        """Return the names that a scene's room zones may have."""
+        return [posixpath.basename(scene_id)]
+
+    def beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+        """Return a scene's mesh, if the family has such files, and the possible paths of its navmesh."""
+        return (), self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
+
+
+class ScanSource(FileSource):
+    """A family of scans, each with a mesh and a navmesh beside its file."""
+
+    def beside(self, scene_id: str, path: str, ledger: InputLedger) -> tuple[tuple[MeshPart, ...], tuple[str, ...]]:
+        """See `FileSource.beside`."""
+        name = posixpath.basename(scene_id)
+        bare = [posixpath.join(folder, name) for folder in dict.fromkeys(self.folders(posixpath.dirname(path)))]
+        return self.scan_files(name, [f"{b}.glb" for b in bare], [f"{b}.navmesh" for b in bare], ledger)
+
+    def folders(self, folder: str) -> list[str]:
+        """Return the folders in which mesh and navmesh are looked for, by the folder of the scan's file."""
+        return [folder]
 
     def geometry(self, scene: Scene) -> SceneGeometry | None:
         """Return the scan's mesh; see `Source.geometry`."""

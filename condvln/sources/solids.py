@@ -100,17 +100,9 @@ def object_boxes(objects: Iterable[tuple[int, SceneObject]]) -> Piece:
     eights: list[F64] = []
     owners: list[int] = []
     for number, item in objects:
-        box = item.box
-        if item.parts:
-            own = [box_corners(part) for part in item.parts]
-        elif item.obb is not None:
-            own = [box_corners(item.obb)]
-        elif box is not None:
-            own = [corners(box)]
-        elif item.parent is None and item.support is None:
+        own = [box_corners(box) for box in item.solids]
+        if not own and item.parent is None and item.support is None:
             own = [corners([item.center - UNKNOWN_EXTENT / 2, item.center + UNKNOWN_EXTENT / 2])]
-        else:
-            continue
         eights += own
         owners += [number] * len(own)
     return boxes(eights, owners)

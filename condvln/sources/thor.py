@@ -9,21 +9,18 @@ from __future__ import annotations
 import posixpath
 import re
 from abc import abstractmethod
-from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
 from condvln.formats.json_document import JsonNode, parse_json
-from condvln.labels import vocabulary
-from condvln.scene import Room, Scene, SceneWarning
+from condvln.scene import Scene, SceneWarning
 from condvln.scene.scene import SceneGeometry
-from condvln.sources.regions import in_rooms
-from condvln.sources.scene_source import Note, Source, SourceOptions
+from condvln.sources.regions import in_rooms, made_room
+from condvln.sources.scene_source import FileSource, SourceOptions
 from condvln.sources.source import UNKNOWN_LABEL, InputLedger
 from condvln.sources.thor_metadata import MAX_METADATA_BYTES, floor_outline, read_objects, scene_name, thor_geometry
-from schemas.errors import ConfigError, InputError
+from schemas.errors import InputError
 
 __all__ = [
     "IthorSource",
@@ -41,7 +38,7 @@ reported.
 """
 
 
-class ThorSceneSource(Source):
+class ThorSceneSource(FileSource):
     """Files ``<scene>.json`` of a folder and its direct subfolders, each with the controller metadata of one scene.
 
     The floor is at height 0 (the simulator's agent stands there). Rooms come from a side file if given; otherwise the
@@ -52,24 +49,18 @@ class ThorSceneSource(Source):
     annotation: ClassVar[Literal["dataset", "scene"]]
     """Whether the dataset treats the scene as a room, or only as a whole scene."""
 
+    nothing: ClassVar[tuple[str, str]] = (
+        "controller metadata (<scene>.json)",
+        "Save controller.last_event.metadata of each scene there, or correct the source's 'root'",
+    )
+
     def __init__(self, root: Path, options: SourceOptions) -> None:
-        super().__init__(root, options)
         self._known: dict[str, tuple[tuple[int, int], bool]] = {}
-        if not self._scenes():
-            raise ConfigError(
-                "no controller metadata (<scene>.json) is in this folder",
-                where=root,
-                remedy="Save controller.last_event.metadata of each scene there, or correct the source's 'root'",
-            )
+        super().__init__(root, options)
 
     @abstractmethod
     def room_label(self, document: JsonNode) -> str:
         """Return the raw label of the scene's one room, from the scene's name."""
-
-    def listing(self) -> Iterator[tuple[str, Note]]:
-        """See `Source.listing`."""
-        for scene_id, path in self._scenes().items():
-            yield scene_id, partial(self._note, scene_id, path)
 
     def scene(self, scene_id: str) -> Scene:
         """Return one scene; see `Source.read`."""
@@ -79,17 +70,8 @@ class ThorSceneSource(Source):
         items = read_objects(document, self.family)
         rooms = self.drawn_rooms([posixpath.basename(scene_id)], ledger)
         tops = [float(o.aabb[1, 1]) for o in items if o.aabb is not None]
-        whole = Room(
-            room_id=WHOLE_SCENE,
-            raw_label=label,
-            label=vocabulary.room_type(label, self.family),
-            level=0,
-            floor_y=0.0,
-            ceiling_y=max(tops, default=0.0),
-            polygon=floor_outline(document),
-            annotation=self.annotation,
-            complete=True,
-        )
+        heights, outline = (0.0, max(tops, default=0.0)), floor_outline(document)
+        whole = made_room(self.family, WHOLE_SCENE, label, heights, outline, annotation=self.annotation)
         placed, lost = in_rooms(items, rooms) if rooms else ([replace(o, room_id=WHOLE_SCENE) for o in items], [])
         lost += [
             SceneWarning("no_box", o.object_id, "its size is negative: extent unknown") for o in items if o.aabb is None
@@ -104,15 +86,10 @@ class ThorSceneSource(Source):
         return thor_geometry(document, read_objects(document, self.family), number, self.annotation == "dataset")
 
     def _document(self, scene_id: str) -> JsonNode:
-        path = self.path_of(scene_id, self._scenes())
+        path = self.path_of(scene_id, self.scans())
         return parse_json(self.files.read(path, MAX_METADATA_BYTES), str(self.root / path)).object()
 
-    def _note(self, scene_id: str, path: str, ledger: InputLedger) -> None:
-        ledger.file(path)
-        self.drawn_rooms([posixpath.basename(scene_id)], ledger)
-        self.shipped_navmeshes(posixpath.basename(scene_id), ledger)
-
-    def _scenes(self) -> dict[str, str]:
+    def scans(self) -> dict[str, str]:
         """Return the path of each scene's metadata by scene id, sorted; the subfolder is part of the id."""
         found: dict[str, str] = {}
         for path in self.matching("*.json", "*/*.json"):

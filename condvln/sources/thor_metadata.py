@@ -70,16 +70,14 @@ def read_objects(document: JsonNode, family: str) -> list[SceneObject]:
         pickable, movable = node.get("pickupable"), node.get("moveable")
         if box is None and raw in BUILDING:
             node["axisAlignedBoundingBox"]["size"].fail("a size is negative")
-        aabb = None if box is None else round_mm(box)
         found[own] = SceneObject(
             object_id=own,
             room_id="",
             raw_label=raw,
             label=vocabulary.canonical(raw, family),
             center=round_mm(centre if box is None else box.mean(axis=0)),
-            aabb=aabb,
+            aabb=None if box is None else round_mm(box),
             obb=None if box is None else _oriented(node),
-            size=None if aabb is None else round_mm(aabb[1] - aabb[0]),
             radius=None if box is None else float(np.ceil(np.linalg.norm(box[1] - box[0]) / 2 * 1000) / 1000),
             receptacles=_receptacles(node),
             openness=_openness(node),

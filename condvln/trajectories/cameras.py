@@ -12,6 +12,7 @@ from typing import Any, Final, Literal
 from pydantic import ValidationError
 
 from condvln.sensors.camera import half_extents
+from schemas.base import first_fault
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 
@@ -71,10 +72,7 @@ class Sweep:
             try:
                 camera = CameraConfig.model_validate(main.model_dump() | values)
             except ValidationError as error:
-                fault = error.errors()[0]
-                raise UsageError(
-                    f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}", place="--sweep", remedy="Change this value."
-                ) from None
+                raise UsageError(first_fault(error), place="--sweep", remedy="Change this value.") from None
             name = setting(camera)
             name += f"_{camera.hfov:g}fov" if self.hfovs else ""
             name += f"_{camera.width}x{camera.height}" if self.sizes else ""

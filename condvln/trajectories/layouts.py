@@ -33,13 +33,11 @@ class Meaning:
     """What an agent's actions mean.
 
     space : step forward in metres and turn in degrees
-    tilt : degrees of a look down or up; None where the agent has none
     evidence : where its public code says so
     """
 
     space: ActionSpace
     evidence: str
-    tilt: float | None = None
 
 
 _FIFTEEN: Final = ActionSpace(forward=0.25, turn=15.0)
@@ -62,7 +60,6 @@ MEANINGS: Final[Mapping[str, Meaning]] = {
     "internvla-n1": Meaning(
         _FIFTEEN,
         "InternRobotics/InternNav: scripts/eval/configs/vln_r2r.yaml; habitat_vln_evaluator.py looks down twice",
-        tilt=15.0,
     ),
 }
 """By layout. The layout ``lerobot`` says itself what its actions mean."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from schemas.config import (
     AgentConfig,
@@ -135,8 +135,7 @@ FACTS: Final[Mapping[str, str]] = {
 """Every kind of fact that is checked, with its description."""
 
 
-@dataclass(frozen=True, slots=True)
-class Disagreement:
+class Disagreement(NamedTuple):
     """A fact on which files and scene disagree, with the claimed and the found value; `place` names the part of the
     episode that the fact is about.
     """
@@ -205,9 +204,7 @@ class Certificate:
             "checked": dict(sorted(self.checked.items())),
             "conditions": self.conditions,
             "unproven": self.unproven,
-            "disagreements": [
-                {"fact": d.fact, "place": d.place, "claimed": d.claimed, "found": d.found} for d in self.disagreements
-            ],
+            "disagreements": [disagreement._asdict() for disagreement in self.disagreements],
         }
 
 

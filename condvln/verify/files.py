@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from condvln.export.contents import INDEX, ORIGIN, document_digest, read_document, read_index
 from condvln.formats.json_entries import entries, json_lines, parsed
 from condvln.formats.regular_file import open_regular
+from schemas.base import first_fault
 from schemas.episode import Evidence
 from schemas.errors import FormatError, MissingFileError, shown_path
 from schemas.evaluation import ManifestEpisode
@@ -156,8 +157,7 @@ class _SplitCursor:
             try:
                 row = ManifestEpisode.model_validate_json(line)
             except ValidationError as error:
-                first = error.errors()[0]
-                fault = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+                fault = first_fault(error)
                 self._unread.append(Unread(self.split, f"line {number}", "readable", "a manifest row", fault))
                 continue
             if len(row.leaves) != len(row.program.leaves):

@@ -459,12 +459,8 @@ class Onlookers:
 def check_seen(program: Program, onlookers: Onlookers, certificate: Certificate) -> None:
     """Check that all objects that a text presupposes (stops, anchors and witnesses) are visible."""
     named: set[str | None] = set()
-    for condition in program.conditions:
-        named |= {*condition.witnesses, condition.room.anchor_id}
-        named |= {*(condition.qualifier.anchor_ids if condition.qualifier else ())}
-    for leaf in program.leaves:
-        for move in leaf.moves:
-            named |= {move.object_id, move.room.anchor_id}
-            named |= {*(move.qualifier.anchor_ids if move.qualifier else ())}
+    for one in program.named:
+        named |= {*one.witnesses} if isinstance(one, Condition) else {one.object_id}
+        named |= {one.room.anchor_id, *(one.qualifier.anchor_ids if one.qualifier else ())}
     out_of_sight = sorted(name for name in named if name is not None and not onlookers.recognise(name))
     certificate.holds("seeable", not out_of_sight, "recognised from where an agent can stand", out_of_sight)

@@ -25,13 +25,9 @@ def check_program(row: ManifestEpisode | UnplacedText, certificate: Certificate)
     """
     program = row.program
     conditions, leaves = program.conditions, program.leaves
-    named = {(condition.room.room_id, condition.room.label) for condition in conditions}
-    visited: list[list[str]] = []
-    rooms: list[list[str]] = []
-    for leaf in leaves:
-        visited.append([move.object_id for move in leaf.moves])
-        rooms.append([move.room.room_id for move in leaf.moves])
-        named.update([(move.room.room_id, move.room.label) for move in leaf.moves])
+    named = {(one.room.room_id, one.room.label) for one in program.named}
+    visited = [[move.object_id for move in leaf.moves] for leaf in leaves]
+    rooms = [[move.room.room_id for move in leaf.moves] for leaf in leaves]
     goals = [stops[-1] for stops in visited]
     tree = tree_of(program)
     everywhere = {room_id for room_id, _ in named}

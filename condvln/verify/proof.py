@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
@@ -16,7 +15,7 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.corpus import Corpus
-from condvln.verify.files import UNPROVEN, ExportFiles, Row, UnplacedText
+from condvln.verify.files import UNPROVEN, ExportFiles, Row, SceneRun, UnplacedText
 from condvln.verify.footprints import Obstacles
 from condvln.verify.looking import check_looking
 from condvln.verify.observability import (
@@ -83,14 +82,9 @@ def prove_runs(
     files = ExportFiles(folder)
     corpus = Corpus()
     shapes: dict[Path, Shapes] = {}
-    runs = files.runs()
 
-    def certificates_of_next(number: int) -> list[Certificate] | None:
-        """Return the certificates of the next scene, none if it is not mine; None at the end."""
-        run = next(runs, None)
-        if run is None:
-            return None
-        proven = mine(number)
+    def certificates_of(run: SceneRun, proven: bool) -> list[Certificate]:
+        """Return the certificates of a scene; none if it is not to be proven."""
         certificates = [_certificate(row) for row in run.rows]
         try:
             if proven:
@@ -104,17 +98,15 @@ def prove_runs(
             corpus.check(row.manifest, row.split, certificate)
         return certificates if proven else []
 
-    for number in count():
-        certificates = certificates_of_next(number)
-        if certificates is None:
-            break
-        if certificates:
-            yield number, certificates
+    scenes = 0
+    for scenes, run in enumerate(files.runs(), start=1):
+        if certificates := certificates_of(run, mine(scenes - 1)):
+            yield scenes - 1, certificates
     unread = []
     for entry in files.unread:
         unread.append(Certificate(entry.episode_id, "", "", entry.split))
         unread[-1].holds(entry.fact, False, entry.claimed, entry.found)
-    yield number, unread
+    yield scenes, unread
 
 
 def prove_scene(

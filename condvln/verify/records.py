@@ -36,6 +36,14 @@ HEADING: Final = 1e-3
 """Tolerance in degrees between a stated heading and its rotation."""
 
 
+_INFO: Final = (
+    "success_distance", "max_steps", "category", "depth", "chain", "composition", "observability", "evidence_in_view",
+    "observability_approximate", "moves", "leads", "words", "instruction_id", "group_id", "episode_hash",
+    "navmesh_sha256",
+)  # fmt: skip
+"""Fields of a manifest row that its record repeats."""
+
+
 def check_record(
     row: ManifestEpisode,
     record: Mapping[str, Any] | None,
@@ -65,22 +73,7 @@ def check_record(
         "geodesic_distance": gold.geodesic_distance,
         "route_length": gold.route_length,
         "subgoals": [list(subgoal.position) for subgoal in gold.subgoals],
-        "success_distance": row.success_distance,
-        "max_steps": row.max_steps,
-        "category": row.category,
-        "depth": row.depth,
-        "chain": row.chain,
-        "composition": row.composition,
-        "observability": row.observability,
-        "evidence_in_view": row.evidence_in_view,
-        "observability_approximate": row.observability_approximate,
-        "moves": row.moves,
-        "leads": row.leads,
-        "words": row.words,
-        "instruction_id": row.instruction_id,
-        "group_id": row.group_id,
-        "episode_hash": row.episode_hash,
-        "navmesh_sha256": row.navmesh_sha256,
+        **{name: getattr(row, name) for name in _INFO},
     }
     instruction, said = record.get("instruction"), record.get("info")
     found = {

@@ -239,7 +239,7 @@ class Sight:
         if known is not None and not known.approximate:
             return MeshOccluders(known.vertices, known.faces)
         bodies = [item for item in self._scene.objects if not is_structure(item)]
-        solid = [(item.object_id, box) for item in bodies for box in _boxes(item)]
+        solid = [(item.object_id, box) for item in bodies for box in item.solids]
         self._boxes = {}
         for number, (name, _) in enumerate(solid):
             self._boxes.setdefault(name, []).append(number)
@@ -484,7 +484,7 @@ class Sight:
             lie_on = self._own_boxes(object_id, published)
         else:
             # A point where boxes of an object meet lies on the box that it was chosen from.
-            parts = [box_samples(*box) for box in _boxes(item)]
+            parts = [box_samples(*box) for box in item.solids]
             numbers = self._boxes.get(object_id, [-1] * len(parts))
             published, lie_on = np.concatenate(parts), np.repeat(numbers, [len(part) for part in parts])
         boxes = np.concatenate([self._own_boxes(object_id, ours), lie_on])
@@ -499,7 +499,7 @@ class Sight:
             return np.full(len(points), numbers[0])
         away = [
             np.linalg.norm(np.maximum(np.abs((points - middle) @ axes) - half, 0.0), axis=1)
-            for middle, half, axes in _boxes(self._scene.object_of[object_id])
+            for middle, half, axes in self._scene.object_of[object_id].solids
         ]
         nearest: NDArray[np.int64] = numbers[np.argmin(np.round(away, 6), axis=0)]
         return nearest
@@ -513,7 +513,7 @@ class Sight:
 
     def _triangles(self, item: SceneObject) -> F64 | None:
         """Return triangles (m, 3, 3) of an object's surface, or of its boxes; None if its extent is unknown."""
-        faces, boxes = self._faces(item), _boxes(item)
+        faces, boxes = self._faces(item), item.solids
         if self._geometry is not None and len(faces):
             surface: F64 = self._geometry.vertices[faces]
             return surface
@@ -641,17 +641,3 @@ def much(least: float, count: int) -> float:
     both = (under[:, None] * over).max(axis=0)
     sure = np.flatnonzero(both <= ODDS)
     return float(sure[0] / count) if len(sure) else 2.0
-
-
-def _boxes(item: SceneObject) -> list[tuple[F64, F64, F64]]:
-    """Return (centre, half extents, axes as columns) of each of an object's boxes: the boxes of its parts or, if it has
-    no parts, its tightest known box; empty if no box is known.
-    """
-    if item.parts:
-        return [(part.center, part.half_extents, part.rotation) for part in item.parts]
-    if item.obb is not None:
-        return [(item.obb.center, item.obb.half_extents, item.obb.rotation)]
-    box = item.box
-    if box is None:
-        return []
-    return [((box[0] + box[1]) / 2, np.maximum(box[1] - box[0], 0.0) / 2, np.eye(3))]

@@ -152,16 +152,7 @@ class Shapes:
         corners = [transform_points(transform, its.vertices)[its.faces] for transform, its in meshes]
         if any(len(triangles) for triangles in corners):
             return _Triangles(np.concatenate(corners))
-        boxes = item.parts or (() if item.obb is None else (item.obb,))
-        if boxes:
-            return _Boxes(*(np.array([getattr(box, name) for box in boxes]) for name in _BOX))
-        if item.box is None:
-            return None
-        low, high = item.box
-        return _Boxes((low + high)[None] / 2, (high - low)[None] / 2, np.eye(3)[None])
-
-
-_BOX: Final = ("center", "half_extents", "rotation")
+        return _Boxes(*map(np.array, zip(*item.solids, strict=True))) if item.solids else None
 
 
 class SurfaceGauge:

@@ -60,10 +60,7 @@ def check_meaning(
 
 
 def _check_rooms(program: Program, referents: SceneReferents, certificate: Certificate) -> None:
-    rooms = {(condition.room.room_id, condition.room.label) for condition in program.conditions}
-    for leaf in program.leaves:
-        rooms.update([(move.room.room_id, move.room.label) for move in leaf.moves])
-    for room_id, label in sorted(rooms) if len(rooms) > 1 else rooms:
+    for room_id, label in sorted({(one.room.room_id, one.room.label) for one in program.named}):
         view = referents.rooms.get(room_id)
         certificate.same("room_named", label, None if view is None else view.label, room_id)
 

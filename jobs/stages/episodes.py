@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from condvln.episodes.candidates import DRAWING, PLACING, unplaced_programs, unplaced_table
 from condvln.episodes.pool import EpisodePool
-from condvln.episodes.steps import Rejections, draw_programs, place_programs, published_texts
+from condvln.episodes.steps import ProgramSettings, Rejections, draw_programs, place_programs, published_texts
 from condvln.episodes.table import (
     PLACEMENTS,
     funnel_table,
@@ -38,14 +38,8 @@ from jobs.stages.inputs import (
 )
 from schemas.canonical import JSON
 from schemas.config import (
-    EpisodeConfig,
-    GoalsConfig,
-    InstructionsConfig,
-    PlacesConfig,
-    SamplingConfig,
     StepBudget,
     TextConfig,
-    Thresholds,
     WordingConfig,
 )
 from schemas.program import Program
@@ -103,15 +97,8 @@ class EpisodeStage(Stage):
     Its table ``programs`` has the published programs, and an example of each reason for which one was not placed.
     """
 
-    thresholds: Thresholds
-    places: PlacesConfig
-    instructions: InstructionsConfig
-    sampling: SamplingConfig
-    goals: GoalsConfig
-    rules: EpisodeConfig
+    settings: ProgramSettings
     max_climb: float
-    preamble: bool
-    seed: int
     name: str = "episodes"
     version: int = 39
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
@@ -122,22 +109,22 @@ class EpisodeStage(Stage):
     @cached_property
     def _parameters(self) -> JSON:
         """What `parameters` returns: one object for all units, whose hash is cached."""
-        wording: dict[str, JSON] = {}
-        wanted = asked_of(self.instructions)
-        if any(cell.words for cell in self.instructions.cells):
+        own, wording = self.settings, dict[str, JSON]()
+        wanted = asked_of(own.instructions)
+        if any(cell.words for cell in own.instructions.cells):
             # The number of words is decided by the wording, which is another stage's to change.
             wording = {"wording": TextStage.version}
-            wanted |= dump(self.instructions.wording)
+            wanted |= dump(own.instructions.wording)
         return wording | {
-            "thresholds": dump(self.thresholds),
-            "places": dump(self.places),
+            "thresholds": dump(own.thresholds),
+            "places": dump(own.places),
             "instructions": wanted,
-            "sampling": dump(self.sampling),
-            "goals": dump(self.goals),
-            "episodes": dump(self.rules),
+            "sampling": dump(own.sampling),
+            "goals": dump(own.goals),
+            "episodes": dump(own.episodes),
             "agent": {"max_climb": self.max_climb},
-            "text": {"preamble": self.preamble},
-            "seed": self.seed,
+            "text": {"preamble": own.preamble},
+            "seed": own.seed,
         }
 
     def parameters(self, unit: Unit) -> JSON:
@@ -147,30 +134,18 @@ class EpisodeStage(Stage):
         return dict(self._bits(scene_of(unit, upstream), shared).document())
 
     def _bits(self, scene: Scene, shared: Tables) -> PriorBits:
-        return bits_of(scene, shared["priors"], self.sampling, self.instructions.directions, self.places)
+        own = self.settings
+        return bits_of(scene, shared["priors"], own.sampling, own.instructions.directions, own.places)
 
     def run(self, unit: Unit, upstream: Tables, shared: Tables) -> StageOutput:
         scene = scene_of(unit, upstream)
-        facts, bits = facts_of(scene, upstream["relations"], self.thresholds), self._bits(scene, shared)
+        facts, bits = facts_of(scene, upstream["relations"], self.settings.thresholds), self._bits(scene, shared)
         if scene.navmesh is None:
             return self._without_navmesh(unit, scene, facts, bits, upstream)
         walkable = walkable_of(unit, scene, upstream, self.max_climb)
         assert walkable is not None
-        placed = place_programs(
-            scene,
-            facts,
-            bits,
-            walkable,
-            sightings_from_table(upstream["visibility"]),
-            instructions=self.instructions,
-            sampling=self.sampling,
-            places=self.places,
-            goals=self.goals,
-            rules=self.rules,
-            thresholds=self.thresholds,
-            preamble=self.preamble,
-            seed=self.seed,
-        )
+        sightings = sightings_from_table(upstream["visibility"])
+        placed = place_programs(scene, facts, bits, walkable, sightings, self.settings)
         programs = {episode.instruction_id: episode.program for episode in placed.pool.episodes}
         return self._output(scene, programs, placed.pool, placed.rejections)
 
@@ -180,19 +155,10 @@ class EpisodeStage(Stage):
         """Return the output for a scene without a navmesh: as many instructions as wanted, and no episodes. Every
         candidate counts as not placed. A scan may have a viewpoint graph instead.
         """
-        graph = source_of(unit).connectivity(scene.scene_id)
-        drawn = draw_programs(
-            scene,
-            facts,
-            bits,
-            sightings_from_table(upstream["visibility"]),
-            instructions=self.instructions,
-            sampling=self.sampling,
-            places=self.places,
-            preamble=self.preamble,
-            seed=self.seed,
-            graph=None if graph is None else GraphPathfinder.load(graph),
-        )
+        viewpoints = source_of(unit).connectivity(scene.scene_id)
+        graph = None if viewpoints is None else GraphPathfinder.load(viewpoints)
+        sightings = sightings_from_table(upstream["visibility"])
+        drawn = draw_programs(scene, facts, bits, sightings, self.settings, graph)
         pool = EpisodePool()
         for candidate in drawn.candidates:
             pool.candidates[candidate.cell] += 1
@@ -205,7 +171,7 @@ class EpisodeStage(Stage):
         self, scene: Scene, programs: Mapping[str, Program], pool: EpisodePool, failed: Rejections
     ) -> StageOutput:
         """Return the tables of a scene, whose published programs are `programs`, by id."""
-        names = sorted(programs)
+        names, asked = sorted(programs), self.settings.instructions
         examples = {one.instruction_id: one.program for one in pool.examples.values()}
         kept = [(name, programs[name]) for name in names]
         kept += [(name, examples[name]) for name in sorted(examples.keys() - programs.keys())]
@@ -223,9 +189,7 @@ class EpisodeStage(Stage):
                         rejections_table(scene.scene_id, DRAWING, failed),
                     ]
                 ),
-                "funnel": funnel_table(
-                    scene.scene_id, self.instructions.wanted, pool, self.instructions.counterfactual_groups
-                ),
+                "funnel": funnel_table(scene.scene_id, asked.wanted, pool, asked.counterfactual_groups),
             },
             measures={
                 "episodes": float(len(pool.episodes)),

@@ -90,9 +90,7 @@ def test_what_a_nameless_object_blocks_is_counted(tmp_path: Path) -> None:
     plain = scene_yield(scene, 0.4)
     assert (plain.nothing, plain.nameless) == ("", 0)
     assert plain.absence > 0
-    strange = replace(
-        scene.objects[0], object_id="strange", raw_label="ObjaZyx", label="obja zyx", aabb=None, size=None
-    )
+    strange = replace(scene.objects[0], object_id="strange", raw_label="ObjaZyx", label="obja zyx", aabb=None)
     found = scene_yield(replace(scene, objects=(*scene.objects, strange)), 0.4)
     assert found.nameless == 1
     assert found.blocked > plain.blocked > 0  # a vase may be called a bowl, and so on

@@ -130,14 +130,6 @@ class Ways:
         a, b = self.ground.cell(x, z)
         return bool(self.start == a * self.distance.shape[1] + b)
 
-    def nearest(self, targets: Bools) -> tuple[int, int] | None:
-        """Return the cell among `targets` (n, m) with the least cost; None if none is reachable."""
-        rows, columns = np.nonzero(targets & np.isfinite(self.distance))
-        if not len(rows):
-            return None
-        best = int(np.argmin(self.distance[rows, columns]))
-        return int(rows[best]), int(columns[best])
-
     def to(self, cell: tuple[int, int]) -> F64:
         """Return the positions (k, 2) on the path to a cell, the start first."""
         width = self.distance.shape[1]

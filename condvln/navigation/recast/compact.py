@@ -36,7 +36,6 @@ class CompactHeightfield:
     start : (width * depth + 1,) int32, the spans of column c are ``start[c]:start[c + 1]``
     column : (s,) int32, column of each span
     floor : (s,) int32, voxel on which the agent stands
-    clearance : (s,) int32, free voxels above it, at most 255
     neighbour : (s, 4) int32, span reached by a step to -x, +z, +x, -z; -1 if none
     area : (s,) uint8, 0 where an agent can't stand
     """
@@ -46,7 +45,6 @@ class CompactHeightfield:
     start: Array
     column: Array
     floor: Array
-    clearance: Array
     neighbour: Array
     area: Array
 
@@ -77,7 +75,7 @@ def compact(field: Heightfield, area: Array, walkable_height: int, walkable_clim
             place=f"compact heightfield, column {int(np.argmax(np.diff(start)))}",
             remedy="Use a larger cell_height, or clean the mesh",
         )
-    return CompactHeightfield(field.width, field.depth, start, column, floor, clearance, neighbour, areas)
+    return CompactHeightfield(field.width, field.depth, start, column, floor, neighbour, areas)
 
 
 def _walkable(field: Heightfield, area: Array) -> tuple[Array, Array, Array, Array, Array]:

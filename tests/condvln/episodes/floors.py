@@ -60,7 +60,7 @@ def grid_floor(width: float, depth: float, solid) -> Pathfinder:
 def box(name: str, x: float, z: float, half: float = 0.3, bottom: float = 0.0, top: float = 1.0) -> SceneObject:
     """An object labelled with its own name."""
     aabb = np.array([[x - half, bottom, z - half], [x + half, top, z + half]])
-    return SceneObject(name, "zone", name, name, aabb.mean(axis=0), aabb=aabb, size=aabb[1] - aabb[0])
+    return SceneObject(name, "zone", name, name, aabb.mean(axis=0), aabb=aabb)
 
 
 def apartment(*objects: SceneObject) -> Scene:

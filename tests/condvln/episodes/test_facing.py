@@ -141,7 +141,7 @@ def test_a_placed_program_is_as_it_says(truth: bool) -> None:
 
 
 def _labelled(item, label: str):
-    return type(item)(item.object_id, "zone", label, label, item.center, aabb=item.aabb, size=item.size)
+    return type(item)(item.object_id, "zone", label, label, item.center, aabb=item.aabb)
 
 
 def _in(item, x: float, z: float) -> bool:

@@ -43,7 +43,7 @@ def test_only_named_objects_get_goal_points() -> None:
 def test_nobody_stops_in_the_plane_of_a_thin_thing() -> None:
     """From there rounding decides whether its face is seen; without a view there are such points."""
     aabb = np.array([[2.2, 0.9, 2.99], [3.0, 1.8, 3.01]])
-    mirror = SceneObject("mirror", "zone", "mirror", "mirror", aabb.mean(axis=0), aabb=aabb, size=aabb[1] - aabb[0])
+    mirror = SceneObject("mirror", "zone", "mirror", "mirror", aabb.mean(axis=0), aabb=aabb)
     scene, floor = apartment(mirror), grid_floor(6, 6, lambda x, z: False)
     asked = mirror, scene.rooms[0], floor, PlacesConfig(), GoalsConfig(points=1000)
 

@@ -221,7 +221,7 @@ def test_a_shelf_s_box_does_not_hide_what_stands_in_it() -> None:
 
 
 def test_an_object_of_unknown_extent_is_looked_for_at_its_centre() -> None:
-    bare = dataclasses.replace(thing("cup", "west", 1, 1), aabb=None, size=None)
+    bare = dataclasses.replace(thing("cup", "west", 1, 1), aabb=None)
     scene = two_rooms(bare)
     np.testing.assert_array_equal(SceneView(scene).target("cup").samples, bare.center[None])
 

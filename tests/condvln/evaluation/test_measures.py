@@ -67,27 +67,6 @@ def test_laws(path: np.ndarray, reference: np.ndarray) -> None:
     assert dtw_of_costs(costs.T.copy()) == pytest.approx(dtw(path, reference), abs=1e-9)
 
 
-def line(step: float, metres: float = 10.0) -> np.ndarray:
-    return np.stack([np.arange(0, metres + step / 2, step)] + [np.zeros(round(metres / step) + 1)] * 2, axis=1)
-
-
-@pytest.mark.parametrize(
-    ("walked", "reference", "tau", "value"),
-    [
-        (0.25, 0.25, 3.0, 1.000),
-        (0.25, 0.25, 1.0, 1.000),
-        (0.25, 10.0, 3.0, 0.000),
-        (0.25, 10.0, 1.0, 0.000),
-        (0.25, 2.0, 3.0, 0.329),
-        (0.25, 2.0, 1.0, 0.036),
-        (1.0, 0.25, 3.0, 0.922),
-        (1.0, 0.25, 1.0, 0.784),
-    ],
-)
-def test_worked_values_of_a_perfect_ten_metre_walk(walked: float, reference: float, tau: float, value: float) -> None:
-    assert ndtw(line(walked), line(reference), tau) == pytest.approx(value, abs=5e-4)
-
-
 @pytest.mark.parametrize(
     ("success", "shortest", "walked", "value"),
     [

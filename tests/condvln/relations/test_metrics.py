@@ -125,16 +125,6 @@ def test_used_distance_is_the_first_that_is_known(
     assert np.isnan(metrics.footprint_overlap[0, 2])
 
 
-def test_a_box_follows_from_centre_and_size(
-    make: Callable[..., SceneObject], room_of: Callable[[Sequence[SceneObject]], RoomArrays]
-) -> None:
-    sized = replace(make("a", (1, 2, 3), None), size=np.array([0.4, 0.6, 1.0]))
-    room = room_of([sized, make("b", (1, 2, 3), (0.2, 0.3, 0.5)), make("c", (0, 0, 0), None)])
-    np.testing.assert_array_equal(room.aabb_min[0], room.aabb_min[1])
-    np.testing.assert_array_equal(room.aabb_max[0], room.aabb_max[1])
-    assert np.isnan(room.aabb_min[2]).all()
-
-
 def test_a_distance_at_a_threshold_is_equal_to_it(
     make: Callable[..., SceneObject], room_of: Callable[[Sequence[SceneObject]], RoomArrays]
 ) -> None:

@@ -70,7 +70,6 @@ def scenes(draw: st.DrawFn) -> Scene:
             center=draw(vectors(metres)),
             aabb=draw(st.none() | aabbs),
             obb=draw(st.none() | boxes),
-            size=draw(st.none() | vectors(sizes)),
             radius=draw(st.none() | sizes),
             mesh=tuple(draw(st.lists(parts, max_size=2))),
             static=draw(st.booleans()),

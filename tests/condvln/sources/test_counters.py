@@ -100,7 +100,7 @@ def test_surface_distance_is_the_least_of_the_parts(yaw: float, seed: int) -> No
     box = np.array([place - 0.1, place + 0.1])
     bowl = SceneObject("bowl", "r", "bowl", "bowl", place, aabb=box)
     assert item.aabb is not None
-    solid = solid_of(item, item.aabb, None)
+    solid = solid_of(item, None)
     assert isinstance(solid, BoxSolid)
     other = BoxSolid((OrientedBox(place, np.full(3, 0.1), np.eye(3)),))
     expected = min(solid_distance(BoxSolid((part,)), other) for part in solid.boxes)

@@ -30,7 +30,7 @@ def thing(name: str, room: str, low: list[float], high: list[float], label: str 
     box = round_mm(np.array([low, high]))
     half = (box[1] - box[0]) / 2
     obb = rounded_box(OrientedBox(box.mean(axis=0), half, np.eye(3)))
-    return SceneObject(name, room, label, label, round_mm(box.mean(axis=0)), aabb=box, obb=obb, size=box[1] - box[0])
+    return SceneObject(name, room, label, label, round_mm(box.mean(axis=0)), aabb=box, obb=obb)
 
 
 def cut(low: list[float], high: list[float]) -> list[SceneObject]:

@@ -21,33 +21,6 @@ def shared_length(ways: list[np.ndarray]) -> float:
     return observability.shared_length(*measured(ways))
 
 
-def test_ways_at_a_right_angle_part_a_step_s_diagonal_after_the_fork() -> None:
-    # At s beyond the fork they are √2 s apart: 0.212 m at 0.15 m, 0.283 m at 0.2 m.
-    ways = [way((0, 0), (2, 0), (2, 3)), way((0, 0), (2, 0), (5, 0))]
-    assert shared_length(ways) == pytest.approx(2.15)
-    assert shared_length(ways[::-1]) == pytest.approx(2.15)
-    (places,) = stands(ways)
-    np.testing.assert_allclose(np.diff(np.linspace(0, 2.15, 6)), 0.43)
-    np.testing.assert_allclose(places[:5], way(*((0.43 * k, 0) for k in range(5))), atol=1e-12)
-    np.testing.assert_allclose(places[5], [2.0, 0.0, 0.15], atol=1e-12)
-
-
-def test_ways_to_opposite_sides_share_their_start() -> None:
-    ways = [way((0, 0), (9, 0)), way((0, 0), (-9, 0)), way((0, 0), (0, 9))]
-    assert shared_length(ways) == pytest.approx(0.1)
-    assert shared_length([way((0, 0), (0, 0)), way((0, 0), (4, 0))]) == 0.0
-
-
-def test_the_same_way_is_shared_to_the_shortest_end() -> None:
-    ways = [way((0, 0), (1.23, 0)), way((0, 0), (7, 0))]
-    assert shared_length(ways) == pytest.approx(1.23)
-
-
-def test_a_whole_number_of_looks_may_be_cut_in_either_number_of_parts() -> None:
-    assert [len(places) for places in stands([way((0, 0), (1.5, 0))] * 2)] == [4, 5]
-    assert [len(places) for places in stands([way((0, 0), (1.4, 0))] * 2)] == [4]
-
-
 corner = st.tuples(st.floats(-5, 5), st.floats(-5, 5)).map(lambda at: (round(at[0], 3), round(at[1], 3)))
 
 

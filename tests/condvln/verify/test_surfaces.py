@@ -37,16 +37,6 @@ def gauge(root: Path = Path()) -> SurfaceGauge:
     return SurfaceGauge(Shapes(root))
 
 
-def test_boxes_side_by_side_whose_centres_share_coordinates() -> None:
-    """The case in which FCL's primitive boxes are wrong."""
-    assert gauge().at_most(box("a", [0, 0, 0], [1, 1, 1]), box("b", [3.2, 0, 0], [1, 1, 1]), 0.0) == 1200.0
-
-
-def test_a_turned_box_is_measured_by_its_corner() -> None:
-    found = gauge().at_most(box("a", [0, 0, 0], [1, 1, 1], np.pi / 4), box("b", [4, 0, 0], [1, 1, 1]), 0.0)
-    assert found == round(1000 * (3 - np.sqrt(2)))
-
-
 def test_touching_overlapping_and_holding_are_no_distance() -> None:
     big = box("big", [0, 0, 0], [2, 2, 2])
     for other in (
