@@ -155,7 +155,7 @@ def test_a_build_tells_every_cell_and_the_stops_before_the_goals(built: tuple[Pa
     assert {one.leaves for one in record.stops} == {2}
     for one, row in zip(record.stops, tables["Stops before the goal"].rows, strict=True):
         shares = " / ".join(f"{100 * n / sum(one.stops):.1f}" for n in one.stops)
-        assert row == (one.split, 2, sum(one.stops), shares, "70 / 25 / 5")
+        assert row == (one.split, 2, sum(one.stops), shares, "80 / 17 / 3")
 
 
 def test_a_build_that_reaches_its_floors_exits_with_zero(built: tuple[Path, Any], tmp_path: Path) -> None:

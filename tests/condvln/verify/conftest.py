@@ -54,7 +54,12 @@ def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
         export=folder / "export",
         sources=(SourceConfig(family="replicacad", root=folder / "scenes"),),
         instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY)),
-        sampling=SamplingConfig(candidates_per_episode=PER_CATEGORY, presence_share=0.5),
+        sampling=SamplingConfig(
+            candidates_per_episode=PER_CATEGORY,
+            presence_share=0.5,
+            moves=(0.4, 0.4, 0.2),
+            moves_drawn=(0.27, 0.39, 0.34),
+        ),
     )
     run_generate(config, inline=True, console=Console(file=io.StringIO()))
     runs = tuple(ExportFiles(folder / "export").runs())
