@@ -19,7 +19,7 @@ from condvln.samples import make_samples
 from condvln.sources.registry import open_source
 from jobs.generate import run_generate
 from jobs.workspace import published
-from schemas.config import Config, InstructionsConfig, SourceConfig
+from schemas.config import Config, InstructionsConfig, SamplingConfig, SourceConfig
 
 DEEP = b"[" * 10_000 + b"]" * 10_000
 
@@ -208,7 +208,8 @@ def test_hostile_files_cost_their_own_scenes_only(family: str, tmp_path: Path, m
         name=family,
         store=tmp_path / "store",
         sources=(SourceConfig(family=family, root=root),),  # type: ignore[arg-type]
-        instructions=InstructionsConfig(per_category={"simple": 1}),
+        instructions=InstructionsConfig(per_category={"simple": 4}),
+        sampling=SamplingConfig(usual_places=False),
     )
     config = config.model_copy(update={"ray": config.ray.model_copy(update={"max_failures": 1.0})})
     report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
