@@ -86,7 +86,9 @@ def statement_truths(
     definite = np.array([label in referents.unique_labels for label in labels], dtype=bool)
     possible = overlap | (meant_by(labels, own, referents.open, vocabulary) & ~definite[:, None])
     exactly, perhaps = exact.astype(np.float32), possible.astype(np.float32)
-    suited = _suited(labels, own, anywhere=not vocabulary.room(room_type).fit_for_text)
+    suited = np.ones(exact.shape, dtype=bool)
+    if usual_places:
+        suited = _suited(labels, own, anywhere=not vocabulary.room(room_type).fit_for_text)
     fit: dict[int, Bools] = {}  # by the number of anchors: predicates with as many have the same choices of them
     for predicate in ASKED:
         anchors, status, _, suits = referents.related(predicate)
@@ -94,10 +96,12 @@ def statement_truths(
             # "a bed near the bed" is pointless, and so is any other word for the bed.
             meant = overlap[:, anchors].any(axis=2)
             fit[anchors.shape[1]] = (
-                landmark[anchors].all(axis=1) & ~meant & asked[:, None] & (exactly @ (~suits).astype(np.float32) == 0)
+                landmark[anchors].all(axis=1)
+                & suited[:, anchors].all(axis=2)
+                & ~meant
+                & asked[:, None]
+                & (exactly @ (~suits).astype(np.float32) == 0)
             )
-            if usual_places:
-                fit[anchors.shape[1]] &= suited[:, anchors].all(axis=2)
         sayable = fit[anchors.shape[1]]
         if predicate == "on":
             # Nobody would ask whether the faucet is on the painting, or the side table on the sink.
@@ -125,10 +129,9 @@ def _suited(labels: Sequence[str], own: Sequence[str], *, anywhere: bool) -> Boo
     anywhere : furniture may be anywhere, as in a home without rooms
     """
     known, free = known_purposes(), labels_with_role("surface") if anywhere else frozenset[str]()
-    return np.array(
-        [
-            [not known >= {label, x} or label in free or x in belongs_by().get(label, ()) for x in own]
-            for label in labels
-        ],
-        dtype=bool,
-    )
+    rows = []
+    for label in labels:
+        places = belongs_by().get(label, frozenset())
+        everywhere = label not in known or label in free
+        rows.append([everywhere or x in places or x not in known for x in own])
+    return np.array(rows, dtype=bool)

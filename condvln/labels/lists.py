@@ -173,7 +173,7 @@ def goes_with() -> Mapping[str, frozenset[str]]:
     """Return, by label, the other labels that serve a purpose with it, from ``affinity.csv``: a towel goes with the
     laundry basket and with the bathtub. The table was written by hand: see ``docs/language.md``.
     """
-    return _joined("", "")
+    return _joined(PARTS, PARTS)
 
 
 @cache
@@ -181,7 +181,7 @@ def belongs_by() -> Mapping[str, frozenset[str]]:
     """Return, by label, the labels of the places where such a thing serves a purpose, from ``affinity.csv``: a chair by
     the desk. Whether it is there is worth asking.
     """
-    return _joined("thing", "place")
+    return _joined(("thing",), ("place",))
 
 
 @cache
@@ -190,17 +190,21 @@ def known_purposes() -> frozenset[str]:
     return frozenset(row["label"] for row in _rows("affinity"))
 
 
-def _joined(part: str, other: str) -> Mapping[str, frozenset[str]]:
-    """Return, by label with one part in a purpose, the other labels with another part in it; empty for any part."""
-    purposes: dict[str, list[tuple[str, str]]] = {}
+PARTS: Final = ("thing", "place")
+"""What a label is in a purpose: something that one uses, or where one uses it."""
+
+
+def _joined(own: Sequence[str], others: Sequence[str]) -> Mapping[str, frozenset[str]]:
+    """Return, by label that is one of the parts `own` in a purpose, the other labels that are one of `others` in it."""
+    members: dict[tuple[str, str], set[str]] = {}
     for row in _rows("affinity"):
-        purposes.setdefault(row["purpose"], []).append((row["label"], row["part"]))
+        members.setdefault((row["purpose"], row["part"]), set()).add(row["label"])
     found: dict[str, set[str]] = {}
-    for together in purposes.values():
-        for label, own in together:
-            if own == part or not part:
-                found.setdefault(label, set()).update(x for x, its in together if x != label and its.endswith(other))
-    return {label: frozenset(others) for label, others in found.items()}
+    for (purpose, part), labels in members.items():
+        together = set().union(*(members.get((purpose, other), ()) for other in others))
+        for label in labels if part in own else ():
+            found.setdefault(label, set()).update(together - {label})
+    return {label: frozenset(joined) for label, joined in found.items()}
 
 
 @cache

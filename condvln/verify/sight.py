@@ -29,6 +29,7 @@ from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccl
 from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
 from condvln.scene.scene import STRUCTURE, SceneGeometry
+from condvln.verify.surfaces import boxes_of
 from condvln.verify.words import words
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import (
@@ -239,7 +240,7 @@ class Sight:
         if known is not None and not known.approximate:
             return MeshOccluders(known.vertices, known.faces)
         bodies = [item for item in self._scene.objects if not is_structure(item)]
-        solid = [(item.object_id, box) for item in bodies for box in item.solids]
+        solid = [(item.object_id, box) for item in bodies for box in boxes_of(item)]
         self._boxes = {}
         for number, (name, _) in enumerate(solid):
             self._boxes.setdefault(name, []).append(number)
@@ -484,7 +485,7 @@ class Sight:
             lie_on = self._own_boxes(object_id, published)
         else:
             # A point where boxes of an object meet lies on the box that it was chosen from.
-            parts = [box_samples(*box) for box in item.solids]
+            parts = [box_samples(*box) for box in boxes_of(item)]
             numbers = self._boxes.get(object_id, [-1] * len(parts))
             published, lie_on = np.concatenate(parts), np.repeat(numbers, [len(part) for part in parts])
         boxes = np.concatenate([self._own_boxes(object_id, ours), lie_on])
@@ -499,7 +500,7 @@ class Sight:
             return np.full(len(points), numbers[0])
         away = [
             np.linalg.norm(np.maximum(np.abs((points - middle) @ axes) - half, 0.0), axis=1)
-            for middle, half, axes in self._scene.object_of[object_id].solids
+            for middle, half, axes in boxes_of(self._scene.object_of[object_id])
         ]
         nearest: NDArray[np.int64] = numbers[np.argmin(np.round(away, 6), axis=0)]
         return nearest
@@ -513,7 +514,7 @@ class Sight:
 
     def _triangles(self, item: SceneObject) -> F64 | None:
         """Return triangles (m, 3, 3) of an object's surface, or of its boxes; None if its extent is unknown."""
-        faces, boxes = self._faces(item), item.solids
+        faces, boxes = self._faces(item), boxes_of(item)
         if self._geometry is not None and len(faces):
             surface: F64 = self._geometry.vertices[faces]
             return surface

@@ -152,7 +152,20 @@ class Shapes:
         corners = [transform_points(transform, its.vertices)[its.faces] for transform, its in meshes]
         if any(len(triangles) for triangles in corners):
             return _Triangles(np.concatenate(corners))
-        return _Boxes(*map(np.array, zip(*item.solids, strict=True))) if item.solids else None
+        boxes = boxes_of(item)
+        return _Boxes(*map(np.array, zip(*boxes, strict=True))) if boxes else None
+
+
+def boxes_of(item: SceneObject) -> list[tuple[F64, F64, F64]]:
+    """Return centre, half extents and axes (as columns) of the boxes that stand for an object: those of its parts,
+    otherwise its oriented box, otherwise its upright one. The verifier chooses them apart from ``SceneObject.solids``.
+    """
+    if known := item.parts or (() if item.obb is None else (item.obb,)):
+        return [(box.center, box.half_extents, box.rotation) for box in known]
+    if item.aabb is None:
+        return []
+    low, high = item.aabb
+    return [((low + high) / 2, np.maximum(high - low, 0.0) / 2, np.eye(3))]
 
 
 class SurfaceGauge:

@@ -258,7 +258,7 @@ def made_worlds(
 def test_every_decision_is_shown_by_the_frames_up_to_it_and_by_none_before(
     family: Family, seed: int, tmp_path: Path
 ) -> None:
-    count = 0
+    count, direct = 0, list[bool]()
     for world, judge, episodes in made_worlds(tmp_path, family, 2, seed, 3):
         for episode in episodes:
             assert episode.looking_path is not None
@@ -283,10 +283,12 @@ def test_every_decision_is_shown_by_the_frames_up_to_it_and_by_none_before(
             assert episode.looking_length <= RULES.looking_detour.most(leaf.route_length)
             assert 1.5 * len(episode.looking_actions) <= RULES.step_ceiling
             if all(np.allclose(place, start, atol=1e-5) for place in places[: max(episode.looking_decided) + 1]):
-                # The walk may reach a stop at another of its points, and a lead anywhere in its room.
-                assert episode.looking_length == pytest.approx(leaf.route_length, abs=0.1)
+                # Headings of 15° stray from a straight route; where they stray far, the path is what they walk.
+                assert leaf.route_length - 1e-9 <= episode.looking_length <= leaf.route_length + 0.1
+                direct.append(episode.looking_length - leaf.route_length < 1e-9)
             count += 1
     assert count >= 10
+    assert 2 * sum(direct) > len(direct) > 0, "most walks of what is decided at the start are the route"
 
 
 def too_near(places: F64, episode: ManifestEpisode) -> list[NDArray[np.bool_]]:

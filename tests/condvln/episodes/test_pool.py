@@ -29,7 +29,17 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.seeding import Draws, generator
 from schemas.config import EpisodeConfig, InstructionCell, PlacesConfig, TextConfig
-from schemas.program import SHAPES, Category, Condition, Leaf, ObjectRef, Program, RoomRef
+from schemas.program import (
+    SHAPES,
+    Anchor,
+    Category,
+    Condition,
+    Leaf,
+    ObjectRef,
+    Program,
+    Qualifier,
+    RoomRef,
+)
 from schemas.tables import EPISODES
 from tests.condvln.episodes.floors import apartment, box, grid_floor, inside, placer_of
 from tests.condvln.episodes.listed_candidates import Listed
@@ -375,6 +385,51 @@ def test_over_many_scenes_leaves_have_the_asked_shares_whatever_is_drawn(
         assert all(abs(held[n] - share * held.total()) < 3 for n, share in enumerate(asked, 1))
         total += held
     assert [total[n] / total.total() for n in range(1, len(asked) + 1)] == pytest.approx(asked, abs=0.015)
+
+
+def _sent(name: str, goal: str, *, truth: bool) -> Candidate:
+    """Asks whether the book is on the desk, and sends to `goal` if it is, else to the sofa."""
+    desk = Qualifier(predicate="on", anchors=(Anchor(object_id="desk", label="desk"),))
+    asked = Condition(label="book", room=ZONE, qualifier=desk, truth=truth, witnesses=("book",) if truth else ())
+    then, otherwise = (
+        Leaf(moves=(ObjectRef(object_id=label, label=label.rpartition(" ")[0], room=ZONE),))
+        for label in (goal, f"sofa {name}")
+    )
+    branches = SHAPES["simple"].branches
+    program = Program(category="simple", conditions=(asked,), branches=branches, leaves=(then, otherwise))
+    return Candidate(name, program, InstructionCell(category="simple", count=4))
+
+
+def test_the_least_odd_programs_are_placed_first_if_goals_shall_fit() -> None:
+    goals = ["toilet", "bookshelf", "dining table"] * 4
+    listed = [_sent(f"{k}", f"{goal} {k}", truth=bool(k // 3 % 2)) for k, goal in enumerate(goals)]
+    cell = listed[0].cell
+    found = {}
+    for purposeful in (False, True):
+        pool = fill_pool(
+            Listed(listed), Anywhere(), (cell,), 1.0, lambda _: False, None, 0, None, purposeful=purposeful
+        )
+        found[purposeful] = Counter(e.program.leaves[0].goal.label for e in pool.episodes)
+    assert found[False]["toilet"] == 2, "in their order"
+    assert found[True].total() == 4
+    assert "toilet" not in found[True], "nobody looks for a book there"
+
+
+def test_of_relations_to_whose_anchor_one_is_sent_as_many_are_true_as_false() -> None:
+    cell = InstructionCell(category="simple", count=12)
+    false = [_sent(f"{k}", f"desk {k}", truth=False) for k in range(12)]
+    to_desk = [
+        replace(one, cell=cell, program=one.program.model_copy(update={"leaves": _at_desk(one)})) for one in false
+    ]
+    pool = fill_pool(Listed(to_desk), Anywhere(), (cell,), 1.0, lambda _: False, None, 0, None, purposeful=True)
+    assert len(pool.episodes) == 1
+    assert pool.rejections == {(cell, "truth_full"): 11}
+    free = fill_pool(Listed(to_desk), Anywhere(), (cell,), 1.0, lambda _: False, None, 0, None)
+    assert len(free.episodes) == 6, "the gold leaf's share"
+
+
+def _at_desk(one: Candidate) -> tuple[Leaf, ...]:
+    return (Leaf(moves=(ObjectRef(object_id="desk", label="desk", room=ZONE),)), one.program.leaves[1])
 
 
 class ToOrder:
