@@ -142,7 +142,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str,
                 "cells": [{"category": "chain", "count": 2}],
                 "counterfactual_groups": 1,
             },
-            "sampling": {"predicates": {"far": 0.2}},
+            "sampling": {"predicates": {"far": 0.2}, "usual_places": False},  # else few statements are left
             "episodes": {"max_steps": "proportional"},
         }
 
