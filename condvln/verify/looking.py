@@ -81,7 +81,9 @@ def check_looking(
     walks = executed(pathfinder, [row.start_position for row, _ in asked], yaws, [taken[:-1] for taken in actions])
     for (row, certificate), path, free, walk in zip(asked, paths, walkable, walks, strict=True):
         gold = row.leaves[row.gold_leaf]
-        faults = [*_off_path(row, gold, path, free)]
+        # Corners of a path have the height of the navmesh's polygons; stops that of its finer floor there.
+        feet = np.column_stack([path[:, 0], pathfinder.snap_points(path)[:, 1], path[:, 2]])
+        faults = [*_off_path(row, gold, path, feet, free)]
         certificate.holds("looking_path", not faults, "a walk over the floor past the stops", faults)
         _check_bounds(row, gold, path, rules, certificate)
         faults = [*_astray(row, gold, path, *walk, pathfinder, sight, rules)]
@@ -106,20 +108,28 @@ def _is_open(pathfinder: Pathfinder, begin: F64, end: F64) -> bool:
     return bool((np.hypot(moved[:, 0], moved[:, 2]) <= CORNER).all())
 
 
-def _off_path(row: ManifestEpisode, gold: EpisodeLeaf, path: F64, walkable: Bools) -> Iterator[str]:
-    """Yield what is wrong with a path. `walkable` tells of each two neighbouring corners whether they are joined."""
+def _off_path(row: ManifestEpisode, gold: EpisodeLeaf, path: F64, feet: F64, walkable: Bools) -> Iterator[str]:
+    """Yield what is wrong with a path. `feet` are its corners on the floor, NaN where there is none; `walkable` tells
+    of each two neighbouring corners whether they are joined.
+    """
     if math.dist(path[0], row.start_position) > CORNER:
         yield "it does not begin at the start"
     if not walkable.all():
         yield f"it is blocked after corner {walkable.argmin()}"
     at = 0
     for stop in gold.subgoals:
-        near = np.linalg.norm(path[at:] - np.array(stop.position), axis=1) <= CORNER
+        near = _at(path[at:], feet[at:], stop.position)
         if not near.any():
             yield f"it does not pass {stop.object_id}"
         at += int(near.argmax())
-    if min(math.dist(path[-1], goal) for goal in gold.goals) > CORNER:
+    if not any(_at(path[-1:], feet[-1:], goal).any() for goal in gold.goals):
         yield "it does not end at a goal"
+
+
+def _at(path: F64, feet: F64, stop: Sequence[float]) -> Bools:
+    """Return a mask (n,) of the corners of a path (n, 3) that are at a stop, themselves or on the floor."""
+    away = np.linalg.norm(np.stack([path, feet]) - np.array(stop), axis=2)
+    return np.asarray((away <= CORNER).any(axis=0))
 
 
 def _check_bounds(

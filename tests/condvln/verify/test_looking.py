@@ -31,7 +31,7 @@ from condvln.trajectories.walks import heading_of
 from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.files import ExportFiles, SceneRun
 from condvln.verify.footprints import Obstacles
-from condvln.verify.looking import _acts, check_looking
+from condvln.verify.looking import _acts, _at, check_looking
 from condvln.verify.observability import Onlookers, sight_of
 from condvln.verify.proof import find_navmesh
 from condvln.verify.referents import SceneReferents
@@ -217,3 +217,14 @@ def test_looking_paths_of_real_scenes_with_a_fault_are_refuted(
         more, left = _tried(run, checker, rng, 1)
         tried, missed = tried + more, missed + left
     _assert_noticed(tried, missed)
+
+
+def test_a_corner_is_at_a_stop_that_has_the_height_of_the_floor_there() -> None:
+    """A path's corner has the height of the navmesh's polygon, a goal that of the finer floor: 25 mm apart on steps."""
+    path = np.array([[1.47, 0.278, -0.861]])
+    floor, nowhere = path - [0.0, 0.025, 0.0], path * [1.0, np.nan, 1.0]
+    assert _at(path, floor, (1.47, 0.253, -0.861)).tolist() == [True]
+    assert _at(path, nowhere, (1.47, 0.278, -0.861)).tolist() == [True]
+    assert _at(path, nowhere, (1.47, 0.253, -0.861)).tolist() == [False]
+    assert _at(path, floor, (1.473, 0.253, -0.861)).tolist() == [False]
+    assert _at(path, floor, (1.47, 0.2, -0.861)).tolist() == [False]
