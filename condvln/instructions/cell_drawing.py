@@ -11,7 +11,7 @@ from itertools import accumulate
 from typing import Final
 
 from condvln.instructions.condition_sampler import AskedStatement, ConditionSampler
-from condvln.instructions.degeneracy import GivenUp, outcomes
+from condvln.instructions.degeneracy import GivenUp, outcomes, searches
 from condvln.instructions.programs import composition, oddness, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
@@ -46,6 +46,7 @@ class WantedCell:
     leads : whether programs have leads
     compass : share of the programs that may use compass words, in at most `compass_phrases` phrases
     purpose : share of the programs whose goals go with what is asked
+    search : share of the programs that look for one thing in several places, where that is possible
     """
 
     category: Category
@@ -60,6 +61,7 @@ class WantedCell:
     compass: float
     compass_phrases: int
     purpose: float
+    search: float
 
 
 @dataclass(slots=True)
@@ -145,6 +147,7 @@ class CellDrawing:
         self._move_sums = [*accumulate(wanted.move_shares)]
         self.leads = wanted.leads
         self._gold = self._compass = 0
+        self._search = False
         self._composition: Composition | None = None
         self.moves: tuple[int, ...] = ()
         """Number of moves of each leaf in the shape that was drawn last."""
@@ -203,9 +206,12 @@ class CellDrawing:
         if not self._dealt:
             self._dealt = draws.sample(self._golds, len(self._golds))
         self._gold = self._dealt.pop()
-        self._composition = None
-        if any(wanted.compositions.values()):
-            self._composition = draws.weighted([*wanted.compositions], [*wanted.compositions.values()])
+        # Whether a thing can be looked for depends on no truth, so that each leaf is gold as often.
+        self._search = bool(self._conditions.searched) and draws.uniform() < wanted.search
+        weights = wanted.compositions
+        if self._search:  # goals are where the thing may be
+            weights = {name: weight for name, weight in weights.items() if name != "C2"} or weights
+        self._composition = draws.weighted([*weights], [*weights.values()]) if any(weights.values()) else None
         self.moves = tuple([wanted.moves or 1 + draws.cumulative(self._move_sums) for _ in range(self._leaves)])
         self._compass = wanted.compass_phrases if draws.uniform() < wanted.compass else 0
         self._goal_weights = self._stops.goal_weights(self._seen.used, wanted.label_cap)
@@ -260,16 +266,17 @@ class CellDrawing:
         wanted, draws = self._wanted, self._draws
         assert self._composition is not None
         stops, luck = self._stops, draws.uniform()
-        room_ids, held = stops.draw_rooms(self._composition, self.moves, draws)
+        asked = self._conditions.searched if self._search else None
+        room_ids, held = stops.draw_rooms(self._composition, self.moves, draws, asked)
         if not self._compass:
             held &= stops.plain
         goals = stops.draw_goals(self._leaves, max(self.moves) - 1, held, self._goal_weights, draws)
         things = stops.named([goals])
-        if self._conditions.fails(luck, room_ids, things):
+        if not self._search and self._conditions.fails(luck, room_ids, things):
             raise GivenUp("no_condition")
         leaves = stops.draw_leaves(self.moves, goals, held, draws)
         things |= stops.named(leaves)
-        if self._conditions.fails(luck, room_ids, things):
+        if not self._search and self._conditions.fails(luck, room_ids, things):
             raise GivenUp("no_condition")
         truths = draws.choice(leading_to(wanted.category, self._gold))
         said = Said(things, self._vocabulary)
@@ -277,21 +284,28 @@ class CellDrawing:
         starts = [room_id for room_id in sorted(room_ids) if room_id in self._conditions.start_rooms]
         start_room = draws.choice(starts) if starts and wanted.egocentric else None
         named, bearings, compass = self._name_stops(leaves, rooms, start_room, said, draws)
-        excluded = self._conditions.excluded_by((name.ref for leaf in named for name in leaf), rooms.values())
-        statements = self._conditions.draw(
-            truths,
-            [*rooms.values()],
-            excluded,
-            draws,
-            luck=luck,
-            start_room=start_room,
-            bearings=bearings,
-            compass=compass,
+        excluded = self._conditions.excluded_by(
+            (name.ref for leaf in named for name in leaf), rooms.values(), search=searches(wanted.category)
         )
-        if statements is None:
+        places: list[AskedStatement] | None = []
+        if self._search:
+            places = self._conditions.look_for_one(len(truths), self._gold, [*rooms.values()], excluded, draws)
+        others = None
+        if places is not None:
+            others = self._conditions.draw(
+                truths[len(places) :],
+                [*rooms.values()],
+                excluded,
+                draws,
+                luck=luck,
+                start_room=start_room,
+                bearings=bearings,
+                compass=compass,
+            )
+        if places is None or others is None:
             rejected.update(rule for rule, statements in excluded.by_rule.items() if statements)
             raise GivenUp("no_condition")
-        return _Drawn(rooms, start_room, held, named, (bearings, compass), statements)
+        return _Drawn(rooms, start_room, held, named, (bearings, compass), [*places, *others])
 
     def _purposeful(self, drawn: _Drawn, program: Program) -> tuple[_Drawn, Program]:
         """Return the same statements with other stops, if there are any of which more goals go with what decides about

@@ -6,16 +6,20 @@ if one with the opposite truth would be possible in its place.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import pairwise, product
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import combinations, pairwise, product
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from condvln.instructions.conditions import ConditionPool, Form, Statements
 from condvln.instructions.conflicts import Conflicts, RuledOut, members
-from condvln.instructions.degeneracy import Claim
+from condvln.instructions.degeneracy import Claim, searches
 from condvln.instructions.expected_draws import FULL_MASS
 from condvln.instructions.predicates import COMPASS, PREDICATE_GROUPS
 from condvln.instructions.referents import Referents, qualifier_of
+from condvln.instructions.stops import Targets
 from condvln.kept import kept
 from condvln.labels import Vocabulary
 from condvln.seeding import Draws
@@ -80,6 +84,51 @@ class AskedStatement(NamedTuple):
     room: RoomRef
 
 
+class _Place(NamedTuple):
+    """A place where a thing may be: the weight of the statement that it is there, and the place as a target."""
+
+    weight: float
+    target: int
+
+
+class _Sought(NamedTuple):
+    """A thing that can be looked for: the statements that it is at a place, by their numbers."""
+
+    false: Mapping[int, _Place]
+    true: Mapping[int, _Place]
+    apart: NDArray[np.bool_]
+
+    @property
+    def numbers(self) -> int:
+        """All statements, as a set."""
+        return sum(1 << number for number in (*self.false, *self.true))
+
+    @property
+    def mass(self) -> float:
+        """The weight of the thing."""
+        false, true = (sum(place.weight for place in side.values()) for side in (self.false, self.true))
+        return false * true
+
+    @property
+    def most(self) -> int:
+        """At how many places that are apart it can be looked for, whether it is at one of them or at none."""
+        return next((n for n in (3, 2) if all(self._choices(n, side) for side in (self.true, {}))), 0)
+
+    def _choices(self, n: int, side: Mapping[int, _Place]) -> bool:
+        """Return whether `n` places are apart, one of `side` and the others where the thing is not."""
+        firsts = [[place] for place in side.values()] or [[]]
+        return any(
+            all(self.is_apart(place, chosen[:k]) for k, place in enumerate(chosen))
+            for first in firsts
+            for rest in combinations(self.false.values(), n - len(first))
+            for chosen in [[*first, *rest]]
+        )
+
+    def is_apart(self, place: _Place, others: Iterable[_Place]) -> bool:
+        """Return whether a place is apart from others."""
+        return all(self.apart[place.target, other.target] for other in others)
+
+
 class _AskedRoom:
     """The statements about one room, and the weights with which they are drawn.
 
@@ -120,6 +169,7 @@ class ConditionSampler:
     Parameters
     ----------
     rooms : by room id, its referents and possible statements
+    targets : where one can be sent
     plain : ids of the rooms that are named by their label alone
 
     Attributes
@@ -128,6 +178,7 @@ class ConditionSampler:
     start_rooms : ids of the rooms where egocentric conditions are possible, if the start is there
     conflicts : what excludes each statement
     compass : the statements with compass words
+    searched : ids of the rooms with a thing that can be looked for in several places
     """
 
     def __init__(
@@ -135,6 +186,7 @@ class ConditionSampler:
         rooms: Mapping[str, tuple[Referents, ConditionPool]],
         sampling: SamplingConfig,
         vocabulary: Vocabulary,
+        targets: Targets,
         plain: Collection[str] = (),
         *,
         single_room: bool,
@@ -164,6 +216,8 @@ class ConditionSampler:
             for form, own in forms.items():
                 if form is not None and form[0] in COMPASS:
                     self.compass |= own.members[False] | own.members[True]
+        self._things = {name: [*self._sought(name, targets)] for name in self._rooms}
+        self.searched = tuple(name for name, things in self._things.items() if things)
         self._chances = {
             (name, start): self._chances_of(name, start) for name in self._rooms for start in (False, True)
         }
@@ -273,6 +327,53 @@ class ConditionSampler:
             compass -= self.compass >> number & 1
         return found
 
+    def _sought(self, room_id: str, targets: Targets) -> Iterator[_Sought]:
+        """Yield the things that can be looked for in a room, at places where one can be sent."""
+        place_of = {target.object_id: target.position for target in targets.targets}
+        things: dict[str, tuple[dict[int, _Place], dict[int, _Place]]] = {}
+        for form in self._forms[room_id].values():
+            for truth in (False, True):
+                for number, weight in zip(*form.among(truth, 0), strict=True):
+                    claim, (pool, _, k) = self.conflicts.statements[number], self._origin[number]
+                    if claim.placed:
+                        (anchor,) = pool.question(truth, k).anchors
+                        place = place_of.get(self._rooms[room_id].referents.arrays.object_ids[anchor])
+                        if place is not None:
+                            things.setdefault(claim.label, ({}, {}))[truth][number] = _Place(weight, place)
+        for sides in things.values():
+            thing = _Sought(*sides, targets.apart)
+            if thing.most > 1:
+                yield thing
+
+    def look_for_one(
+        self, most: int, gold: int, rooms: Sequence[RoomRef], excluded: RuledOut, draws: Draws
+    ) -> list[AskedStatement] | None:
+        """Return statements about one thing of `rooms` at different places, two at least and `most` at most, of which
+        the one with number `gold` alone is true; none of them, if there is no such number. None if the draw fails.
+
+        excluded : what the text excludes; what the statements exclude is added
+        """
+        asked, gone = {room.room_id: room for room in rooms}, excluded.union
+        things = [thing for room_id in asked for thing in self._things.get(room_id, ()) if not thing.numbers & gone]
+        if not things:
+            return None
+        thing = draws.weighted(things, [thing.mass for thing in things])
+        found, chosen = list[AskedStatement](), list[_Place]()
+        for k in range(min(most, thing.most)):
+            left = {
+                number: place
+                for number, place in (thing.true if k == gold else thing.false).items()
+                if not excluded.union >> number & 1 and thing.is_apart(place, chosen)
+            }
+            if not left:
+                return None
+            number = draws.weighted([*left], [place.weight for place in left.values()])
+            claim = self.conflicts.statements[number]
+            excluded.add(claim)
+            chosen.append(left[number])
+            found.append(AskedStatement(number, asked[claim.room_id]))
+        return found
+
     def fails(self, luck: float, room_ids: Sequence[str], stops: Iterable[tuple[str, str]]) -> bool:
         """Return True if no first statement will be found, however the rooms and stops of a text are named: their names
         only exclude further statements. `stops` are (room id, label) of each.
@@ -308,10 +409,12 @@ class ConditionSampler:
             self._known[key] = _Left(forms, chances, (1.0 - min(1.0, sum(chances))) ** self._sampling.attempts)
         return self._known[key]
 
-    def excluded_by(self, stops: Iterable[ObjectRef], rooms: Iterable[RoomRef]) -> RuledOut:
-        """Return what the phrases of stops exclude, in a text that names some rooms."""
+    def excluded_by(self, stops: Iterable[ObjectRef], rooms: Iterable[RoomRef], *, search: bool = False) -> RuledOut:
+        """Return what the phrases of stops exclude, in a text that names some rooms. `search`: its conditions may look
+        for one thing in several places.
+        """
         phrases = [(stop.room.room_id, stop.room.anchor_label, stop.label, _anchors(stop)) for stop in stops]
-        return RuledOut(self.conflicts, phrases, {room.room_id: room.anchor_label for room in rooms})
+        return RuledOut(self.conflicts, phrases, {room.room_id: room.anchor_label for room in rooms}, search=search)
 
     def twin(self, program: Program, index: int, draws: Draws) -> Condition | None:
         """Return a condition of the opposite truth that can replace condition `index` of `program`; None if there is
@@ -326,7 +429,9 @@ class ConditionSampler:
             return None
         others = [condition for k, condition in enumerate(program.conditions) if k != index]
         excluded = self.excluded_by(
-            (move for leaf in program.leaves for move in leaf.moves), [named.room for named in program.named]
+            (move for leaf in program.leaves for move in leaf.moves),
+            [named.room for named in program.named],
+            search=searches(program.category),
         )
         for other in others:
             excluded.add(Claim.of(other))

@@ -28,7 +28,7 @@ from condvln.instructions.balance import (
     jointly_balanced_weights,
     statement_weights,
 )
-from condvln.instructions.degeneracy import Claim
+from condvln.instructions.degeneracy import PLACES, Claim
 from condvln.instructions.predicates import ASKED, COMPASS
 from condvln.instructions.priors import PriorBits
 from condvln.instructions.referents import Referents
@@ -81,8 +81,9 @@ class RelationPool:
     def claims(self, room_id: str, labels: Sequence[str], truth: bool) -> list[Claim]:
         """Return what the statements with this `truth` claim. `labels` are those of the room's objects."""
         names = [tuple([labels[i] for i in row]) for row in self.truths.anchors.tolist()]
+        placed = self.truths.predicate in PLACES
         return [
-            Claim(room_id, None, self.truths.labels[row], names[column], presence=False)
+            Claim(room_id, None, self.truths.labels[row], names[column], presence=False, placed=placed)
             for row, column in self.cells[truth].tolist()
         ]
 

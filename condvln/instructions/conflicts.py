@@ -48,7 +48,7 @@ class Conflicts:
 
     def __init__(self, statements: Sequence[Claim], vocabulary: Vocabulary) -> None:
         self.statements, self.vocabulary = statements, vocabulary
-        self.presence = 0
+        self.presence = self.placed = 0
         self._in_room: dict[str, int] = {}
         self._labelled: dict[str, int] = {}
         self._anchored: dict[str, int] = {}
@@ -56,6 +56,8 @@ class Conflicts:
             bit = 1 << k
             if claim.presence:
                 self.presence |= bit
+            if claim.placed:
+                self.placed |= bit
             for sets, key in (
                 (self._in_room, claim.room_id),
                 (self._labelled, claim.label),
@@ -105,9 +107,11 @@ class Conflicts:
         return {"tautology": here & objects, "circular": here & anchors}
 
     @kept
-    def by_claim(self, claim: Claim, room_anchor: str | None) -> BySet:
-        """Return the statements that another condition of the text excludes. `room_anchor` is the label of the thing
-        that names its room, None for a plain name.
+    def by_claim(self, claim: Claim, room_anchor: str | None, search: bool) -> BySet:
+        """Return the statements that another condition of the text excludes.
+
+        room_anchor : the label of the thing that names its room, None for a plain name
+        search : conditions may look for one thing in several places (``degeneracy.searches``)
         """
         here, (objects, anchors) = self.in_room(claim.room_id), self.about(claim.label)
         implied, two_things = here & objects, 0
@@ -117,7 +121,17 @@ class Conflicts:
             implied |= here & anchors
         for label in (claim.label, *claim.anchors, *(() if room_anchor is None else (room_anchor,))):
             two_things |= ~here & (self.about(label)[0] | self.about(label)[1])
-        return {"implied": implied, "one_label": objects, "two_things": two_things}
+        elsewhere = self._elsewhere(claim) if search else 0
+        return {"implied": implied & ~elsewhere, "one_label": objects & ~elsewhere, "two_things": two_things}
+
+    def _elsewhere(self, claim: Claim) -> int:
+        """Return the statements that look for the object of a claim elsewhere in its room."""
+        if not claim.placed:
+            return 0
+        found = self.in_room(claim.room_id) & self._labelled.get(claim.label, 0) & self.placed
+        for anchor in claim.anchors:
+            found &= ~self.about(anchor)[1]
+        return found
 
 
 class RuledOut:
@@ -127,14 +141,17 @@ class RuledOut:
     ----------
     stops : the phrases of the text's stops
     rooms : the label of the thing that names each room of the text, None for a plain name, by room id
+    search : conditions may look for one thing in several places (``degeneracy.searches``)
 
     Attributes
     ----------
     by_rule : the excluded statements by rule
     """
 
-    def __init__(self, conflicts: Conflicts, stops: Iterable[Phrase], rooms: Mapping[str, str | None]) -> None:
-        self._conflicts, self._rooms = conflicts, rooms
+    def __init__(
+        self, conflicts: Conflicts, stops: Iterable[Phrase], rooms: Mapping[str, str | None], *, search: bool = False
+    ) -> None:
+        self._conflicts, self._rooms, self._search = conflicts, rooms, search
         self.by_rule = dict.fromkeys(RULES, 0)
         self.by_rule["tautology"] = conflicts.self_contradictory
         self._linked: list[tuple[str, frozenset[str]]] = []
@@ -156,7 +173,7 @@ class RuledOut:
     def add(self, claim: Claim) -> None:
         """Add a condition to the text."""
         anchor = self._rooms.get(claim.room_id)
-        self._exclude(self._conflicts.by_claim(claim, anchor))
+        self._exclude(self._conflicts.by_claim(claim, anchor, self._search))
         self._exclude_rooms(claim.room_id, (claim.label, *claim.anchors, anchor))
         if claim.anchors:
             self._exclude_cycles(claim)

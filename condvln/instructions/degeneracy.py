@@ -15,9 +15,10 @@ from typing import Final
 
 from condvln.kept import kept
 from condvln.labels import Vocabulary
-from schemas.program import SHAPES, Category, Condition, ObjectRef, Program
+from schemas.program import SHAPES, Category, Condition, ObjectRef, Predicate, Program
 
 __all__ = [
+    "PLACES",
     "REASONS",
     "RULES",
     "Claim",
@@ -29,6 +30,7 @@ __all__ = [
     "is_circular",
     "outcomes",
     "returns_to_room",
+    "searches",
 ]
 
 RULES: Final[dict[str, str]] = {
@@ -47,11 +49,16 @@ RULES: Final[dict[str, str]] = {
 """Every rule by name, and what it forbids."""
 
 
+PLACES: Final[tuple[Predicate, ...]] = ("on", "in")
+"""Relations that say where one looks for a thing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Claim:
     """What a condition's text states: a label in a room, perhaps in relation to one or two anchors.
 
     presence : the text only states that such an object exists
+    placed : it states on or in what the object is
     """
 
     room_id: str
@@ -59,6 +66,7 @@ class Claim:
     label: str
     anchors: tuple[str, ...] = ()
     presence: bool = True
+    placed: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -69,10 +77,18 @@ class Claim:
     @classmethod
     def of(cls, condition: Condition) -> Claim:
         """Return the claim that a condition makes."""
-        anchors = condition.qualifier.anchor_labels if condition.qualifier else ()
-        return cls(
-            condition.room.room_id, condition.room.anchor_label, condition.label, anchors, condition.qualifier is None
-        )
+        room, relation = condition.room, condition.qualifier
+        if relation is None:
+            return cls(room.room_id, room.anchor_label, condition.label)
+        placed = relation.predicate in PLACES
+        return cls(room.room_id, room.anchor_label, condition.label, relation.anchor_labels, False, placed)
+
+    def goes_on_from(self, other: Claim, vocabulary: Vocabulary) -> bool:
+        """Return whether the claim looks for the object of `other` elsewhere in the room: "if the book is on the desk",
+        and if not, "if it is on the bed". That the first one fails decides nothing about the second one.
+        """
+        same = self.placed and other.placed and (self.room_id, self.label) == (other.room_id, other.label)
+        return same and not any(vocabulary.overlapping(one).intersection(other.anchors) for one in self.anchors)
 
 
 @dataclass(frozen=True)
@@ -122,9 +138,18 @@ class Presupposed:
         return cls(frozenset(named), frozenset(things), frozenset(qualified))
 
 
-def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary: Vocabulary) -> str | None:
+def searches(category: Category) -> bool:
+    """Return whether each condition of a category but the first is asked only if those before it fail, so that they may
+    look for one thing in several places.
+    """
+    return SHAPES[category].depth == 1
+
+
+def clash(
+    claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary: Vocabulary, *, search: bool = False
+) -> str | None:
     """Return the first rule that `claim` violates together with `others` and the stops' phrases, `given`; None if it
-    violates none.
+    violates none. `search`: the claims may look for one thing in several places (`searches`).
     """
     words = vocabulary.overlapping(claim.label)
     if words.intersection(claim.anchors) or claim.room_anchor in words:
@@ -147,7 +172,10 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
             ):
                 return "given_away"
     same_room = [other for other in others if other.room_id == claim.room_id]
-    for other in same_room:
+    unlike = [other for other in others if not (search and claim.goes_on_from(other, vocabulary))]
+    for other in unlike:
+        if other.room_id != claim.room_id:
+            continue
         if other.label in words:
             return "implied"
         # "a lamp near the bed" presupposes the bed.
@@ -155,7 +183,7 @@ def clash(claim: Claim, others: Sequence[Claim], given: Presupposed, vocabulary:
             return "implied"
         if other.presence and vocabulary.overlapping(other.label).intersection(claim.anchors):
             return "implied"
-    if any(other.label in words for other in others):
+    if any(other.label in words for other in unlike):
         return "one_label"
     if _closes_cycle(claim, same_room, vocabulary):
         return "implied"
@@ -246,7 +274,7 @@ def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
         found.add("two_things")
     claims = [Claim.of(condition) for condition in program.conditions]
     for k, claim in enumerate(claims):
-        reason = clash(claim, claims[:k], given, vocabulary)
+        reason = clash(claim, claims[:k], given, vocabulary, search=searches(program.category))
         if reason:
             found.add(reason)
     return tuple(sorted(found))

@@ -81,7 +81,7 @@ def oddness(program: Program) -> int:
         beside = () if one.qualifier is None else one.qualifier.anchor_labels
         found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in beside)
         if before := program.conditions[:k]:
-            found += all(other.label not in goes_with().get(one.label, ()) for other in before)
+            found += all(other.label not in {one.label, *goes_with().get(one.label, ())} for other in before)
             found += one.room.room_id not in [other.room.room_id for other in before]
     return found
 

@@ -20,7 +20,7 @@ from typing import Final
 from condvln.instructions.cell_drawing import CellDrawing, Seen, WantedCell
 from condvln.instructions.condition_sampler import ConditionSampler
 from condvln.instructions.conditions import ConditionPool
-from condvln.instructions.degeneracy import GivenUp, degeneracies
+from condvln.instructions.degeneracy import GivenUp, degeneracies, searches
 from condvln.instructions.likeness import NO_BORDER, borders
 from condvln.instructions.predicates import sayable
 from condvln.instructions.priors import PriorBits
@@ -28,7 +28,7 @@ from condvln.instructions.programs import ID_LENGTH, instruction_id, program_key
 from condvln.instructions.referents import Facts, Referents, object_refs, room_refs
 from condvln.instructions.rendering import word_count
 from condvln.instructions.stop_sampler import StopSampler
-from condvln.instructions.stops import StopNames, Stops, Target, nameable, targets
+from condvln.instructions.stops import StopNames, Stops, Target, Targets, nameable, targets
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
 from condvln.scene.scene import EVERYTHING_SEEN, Sightings
@@ -164,13 +164,14 @@ class ProgramSampler:
             if room.room_id in facts
         }
         self._names = room_refs(list(self.referents.values()), vocabulary)
-        self.condition_sampler = self._alone = self._condition_sampler(bits, alone=False)
-        if bits.staged:  # statements about stagings have other weights in programs of one condition
-            self._alone = self._condition_sampler(bits, alone=True)
         if not isinstance(stops, Stops):
             stops = stops(frozenset(name for *_, name in nameable(self.referents, self._names)))
+        found = targets(self.referents, self._names, stops, sampling, vocabulary)
+        self.condition_sampler = self._alone = self._condition_sampler(bits, found, alone=False)
+        if bits.staged:  # statements about stagings have other weights in programs of one condition
+            self._alone = self._condition_sampler(bits, found, alone=True)
         self.stop_sampler = StopSampler(
-            targets(self.referents, self._names, stops, sampling, vocabulary),
+            found,
             {room_id: self.referents[room_id].room.label for room_id in sorted(self._names)},
             [room_id for room_id in self._names if self._is_plain(room_id)],
             self.condition_sampler.rooms,
@@ -178,7 +179,7 @@ class ProgramSampler:
         )
         self.stop_names = StopNames(self._names, self._refs_of, sampling, vocabulary)
 
-    def _condition_sampler(self, bits: PriorBits, *, alone: bool) -> ConditionSampler:
+    def _condition_sampler(self, bits: PriorBits, found: Targets, *, alone: bool) -> ConditionSampler:
         """Return a sampler of conditions about the rooms that can be named, for programs of one condition (`alone`) or
         of several.
         """
@@ -186,6 +187,7 @@ class ProgramSampler:
             {name: (self.referents[name], self._pool(name, bits, alone=alone)) for name in self._names},
             self.sampling,
             vocabulary,
+            found,
             [name for name in self._names if self._is_plain(name)],
             single_room=self.scene.single_room,
         )
@@ -304,6 +306,7 @@ class ProgramSampler:
             compass=self.sampling.compass_share,
             compass_phrases=self.sampling.compass_phrases,
             purpose=self.sampling.purpose,
+            search=self.sampling.search if searches(cell.category) and len(SHAPES[cell.category].branches) > 1 else 0.0,
         )
 
     def leads_of(self, cell: InstructionCell) -> float:

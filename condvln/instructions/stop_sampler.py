@@ -141,20 +141,25 @@ class StopSampler:
         weights = {x: weight / (1 + used[x]) for x, weight in self.weights.items() if used[x] + 1 <= cap}
         return LabelWeights(weights, self._of_label)
 
-    def draw_rooms(self, composition: Composition, moves: Sequence[int], draws: Draws) -> tuple[list[str], int]:
-        """Return the ids of the rooms of a program, and the targets there that leave something to ask.
+    def draw_rooms(
+        self, composition: Composition, moves: Sequence[int], draws: Draws, asked: Collection[str] | None = None
+    ) -> tuple[list[str], int]:
+        """Return the ids of the rooms of a program, and the targets there that leave something to ask. The first room
+        is one of `asked`.
 
         Raises
         ------
         GivenUp : the draw can't be completed
         """
-        rooms, held = self._rooms(composition, moves, draws)
+        rooms, held = self._rooms(composition, moves, draws, asked)
         spoilers = held
         for room_id in rooms:
             spoilers &= self._spoiling[room_id]
         return rooms, held & ~spoilers
 
-    def _rooms(self, composition: Composition, moves: Sequence[int], draws: Draws) -> tuple[list[str], int]:
+    def _rooms(
+        self, composition: Composition, moves: Sequence[int], draws: Draws, asked: Collection[str] | None
+    ) -> tuple[list[str], int]:
         """Return rooms of different types that together have targets for all stops, and these targets.
 
         Conditions can be asked about the first room. The others are named by their label alone if enough such rooms are
@@ -162,6 +167,10 @@ class StopSampler:
         """
         (least, most), n, waypoints = ROOM_SPANS[composition], len(moves), max(moves) - 1
         first = self._asked if most > 1 else self.roomy(n, waypoints)
+        if asked is not None:
+            first = [room_id for room_id in first if room_id in asked]
+            if not first:
+                raise GivenUp("no_condition")
         weights = [PLAIN_ROOM_WEIGHT if room_id in self._plain else 1.0 for room_id in first]
         rooms = [draws.weighted(first, weights)]
         held = self._held[rooms[0]]

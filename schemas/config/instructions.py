@@ -230,6 +230,7 @@ PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
         "compass_share": 1.0,
         "compass_phrases": 8,
         "purpose": 0.0,
+        "search": 0.0,
         "usual_places": False,
         "compositions": {"C2": 1.0},
         "predicates": {"on": 0.2, "inside": 0.1, "near": 0.4, "vertical": 0.1, "between": 0.15, "compass": 0.25},
@@ -279,6 +280,9 @@ class SamplingConfig(Section):
     purpose: Share = 1.0
     """share of the candidate programs whose goals are, where possible, what goes with what is asked: the desk, if the
     lamp is on it"""
+    search: Share = 0.7
+    """share of the candidate programs of the categories chain and long_chain that look for one thing in several places,
+    where a room has enough places: “if the book is on the desk, …; otherwise, if the book is on the bed, …”"""
     attempts: int = Field(24, ge=1, le=10_000)
     """maximum number of draws of a condition before the candidate is given up"""
     draws_per_candidate: int = Field(20, ge=1, le=10_000)
