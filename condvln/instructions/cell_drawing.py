@@ -352,6 +352,8 @@ class CellDrawing:
             places = self._stops.of_labels(labels & belongs_by().get(condition.label, frozenset())) or alike
             if branch.then < 0:
                 at = self._stops.of_object(anchors[0].object_id) if len(anchors) == 1 else 0
+                if not anchors:
+                    at = places & self._stops.in_room(condition.room.room_id)
                 first[-1 - branch.then], second[-1 - branch.then] = at or places, at | alike
             if branch.otherwise < 0:
                 first[-1 - branch.otherwise], second[-1 - branch.otherwise] = places, alike

@@ -61,8 +61,8 @@ def oddness(program: Program) -> int:
     """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
 
     Where a relation holds, one goes to its anchor (0) or to a place where what is asked about serves a purpose (1);
-    else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, and each stop
-    before a goal that serves no purpose with it 1. Each condition after the first counts 1 if it serves no purpose with
+    else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, a goal outside
+    the room in which something is 1 more, and each stop before a goal that serves no purpose with it 1. Each condition after the first counts 1 if it serves no purpose with
     one before it, and 1 if it is about another room; a relation to a place where the thing serves no purpose 2.
     """
     found = 0
@@ -74,7 +74,8 @@ def oddness(program: Program) -> int:
                 goal = program.leaves[-1 - end].moves[-1]
                 at_anchor = goal.object_id in [anchor.object_id for anchor in anchors]
                 if not (holds and at_anchor):
-                    found += 2 if at_anchor else _distance(condition.label, goal.label) + (holds and bool(anchors))
+                    elsewhere = holds and (bool(anchors) or goal.room.room_id != condition.room.room_id)
+                    found += 2 if at_anchor else _distance(condition.label, goal.label) + elsewhere
     for leaf in program.leaves:
         found += sum(move.label not in goes_with().get(leaf.moves[-1].label, ()) for move in leaf.moves[:-1])
     for k, one in enumerate(program.conditions):

@@ -257,6 +257,10 @@ class StopSampler:
             found |= self._of_label.get(label, 0)
         return found
 
+    def in_room(self, room_id: str) -> int:
+        """Return the targets in a room."""
+        return self._held.get(room_id, 0)
+
     def of_object(self, object_id: str) -> int:
         """Return the target that is an object, as a set; an empty one if it is none."""
         return self._of_object.get(object_id, 0)

@@ -203,7 +203,7 @@ class PredicateWeights(Section):
     """weight of “under”, which only distinguishes stops"""
     inside: Weight = 0.30
     """weight of “in”"""
-    near: Weight = 0.30
+    near: Weight = 0.15
     """weight of “near”"""
     vertical: Weight = 0.05
     """weight of “above” and “below”"""
@@ -211,7 +211,7 @@ class PredicateWeights(Section):
     """weight of “between”"""
     closest: Weight = 0.20
     """weight of “closest to”, which only distinguishes stops"""
-    compass: Weight = 0.10
+    compass: Weight = 0.05
     """weight of the eight compass words"""
     bearing: Weight = 0.30
     """weight of “left”, “right”, “ahead” and “behind”, where directions are egocentric"""
@@ -231,6 +231,7 @@ PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
         "compass_phrases": 8,
         "purpose": 0.0,
         "search": 0.0,
+        "presence_share": 0.4,
         "usual_places": False,
         "compositions": {"C2": 1.0},
         "predicates": {"on": 0.2, "inside": 0.1, "near": 0.4, "vertical": 0.1, "between": 0.15, "compass": 0.25},
@@ -259,7 +260,7 @@ class SamplingConfig(Section):
     """shares as in moves_four_leaves, but among drawn candidates"""
     presence_false_share: Share = 0.2
     """maximum share of label-only conditions among the false conditions, where a scene is one room"""
-    presence_share: Share = 0.4
+    presence_share: Share = 0.1
     """share of label-only conditions in scenes of several rooms"""
     plausible_share: Share = 0.05
     """minimum share of the rooms of a type that must have an object of a label, for the label to be plausible in this
@@ -273,7 +274,7 @@ class SamplingConfig(Section):
     bearings: int = Field(2, ge=1, le=4)
     """maximum number of phrases with bearings (left, right, ahead, behind) in a program; all of them must hold at one
     start"""
-    compass_share: Share = 0.4
+    compass_share: Share = 0.25
     """share of the candidate programs that may use compass words"""
     compass_phrases: int = Field(2, ge=1, le=8)
     """maximum number of phrases with compass words in such a program"""
@@ -285,7 +286,7 @@ class SamplingConfig(Section):
     where a room has enough places: “if the book is on the desk, …; otherwise, if the book is on the bed, …”"""
     attempts: int = Field(24, ge=1, le=10_000)
     """maximum number of draws of a condition before the candidate is given up"""
-    draws_per_candidate: int = Field(20, ge=1, le=10_000)
+    draws_per_candidate: int = Field(10, ge=1, le=10_000)
     """maximum number of draws of whole candidates of one composition before the composition is given up"""
 
     @model_validator(mode="after")
