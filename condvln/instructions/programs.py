@@ -7,15 +7,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from typing import Any
+from typing import Any, Final
 
 import orjson
 import pyarrow as pa
 
 from condvln.labels import vocabulary
-from condvln.labels.lists import belongs_by, goes_with
+from condvln.labels.lists import belongs_by, goes_with, labels_with_role
 from schemas.episode import Composition
-from schemas.program import SHAPES, Branch, Condition, Leaf, ObjectRef, Program, Qualifier, RoomRef
+from schemas.program import SHAPES, Branch, Condition, Leaf, ObjectRef, Predicate, Program, Qualifier, RoomRef
 from schemas.tables import INSTRUCTIONS
 
 __all__ = [
@@ -57,13 +57,19 @@ def instruction_id(family: str, scene_id: str, program: Program) -> str:
     return hashlib.sha256(key.encode()).hexdigest()[:ID_LENGTH]
 
 
+ASIDE: Final[Mapping[Predicate, int]] = {"on": 0, "in": 0, "near": 1}
+"""How little it helps to find a thing to know this relation of it; 2 for all others."""
+
+
 def oddness(program: Program) -> int:
     """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
 
     Where a relation holds, one goes to its anchor (0) or to a place where what is asked about serves a purpose (1);
     else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, a goal outside
-    the room in which something is 1 more, and each stop before a goal that serves no purpose with it 1. Each condition after the first counts 1 if it serves no purpose with
-    one before it, and 1 if it is about another room; a relation to a place where the thing serves no purpose 2.
+    the room in which something is 1 more. Each stop before a goal counts 1, and 1 more if it serves no purpose with it.
+    A condition counts 2 if nobody would look for what it is about, which is no portable thing; 1 if it asks what is
+    near, 2 if it asks for any other relation but on and in, and 2 if the thing serves no purpose at the anchor. Each
+    after the first counts 1 if it serves no purpose with one before it, and 1 if it is about another room.
     """
     found = 0
     for branch in program.branches:
@@ -77,10 +83,12 @@ def oddness(program: Program) -> int:
                     elsewhere = holds and (bool(anchors) or goal.room.room_id != condition.room.room_id)
                     found += 2 if at_anchor else _distance(condition.label, goal.label) + elsewhere
     for leaf in program.leaves:
-        found += sum(move.label not in goes_with().get(leaf.moves[-1].label, ()) for move in leaf.moves[:-1])
+        found += sum(1 + (move.label not in goes_with().get(leaf.moves[-1].label, ())) for move in leaf.moves[:-1])
     for k, one in enumerate(program.conditions):
-        beside = () if one.qualifier is None else one.qualifier.anchor_labels
-        found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in beside)
+        found += 2 * (one.label not in labels_with_role("portable"))
+        if one.qualifier is not None:
+            found += ASIDE.get(one.qualifier.predicate, 2)
+            found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in one.qualifier.anchor_labels)
         if before := program.conditions[:k]:
             found += all(other.label not in {one.label, *goes_with().get(one.label, ())} for other in before)
             found += one.room.room_id not in [other.room.room_id for other in before]
