@@ -47,6 +47,7 @@ class WantedCell:
     compass : share of the programs that may use compass words, in at most `compass_phrases` phrases
     purpose : share of the programs whose goals go with what is asked
     search : share of the programs that look for one thing in several places, where that is possible
+    most_odd : most oddness of a program; None for any
     """
 
     category: Category
@@ -62,6 +63,7 @@ class WantedCell:
     compass_phrases: int
     purpose: float
     search: float
+    most_odd: int | None
 
 
 @dataclass(slots=True)
@@ -239,6 +241,8 @@ class CellDrawing:
         sent, better = drawn, program
         if self._goal_draws.uniform() < self._wanted.purpose:
             sent, better = self._purposeful(drawn, program)
+        if self._wanted.most_odd is not None and oddness(better) > self._wanted.most_odd:
+            raise GivenUp("too_odd")
         if seen.keys is not None:
             if sent.key in seen.sent_keys:
                 raise GivenUp("duplicate")

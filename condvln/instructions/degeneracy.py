@@ -292,6 +292,7 @@ REASONS: Final[dict[str, str]] = {
     "words_missed": "the text has fewer or more words than the cell asks for",
     "no_twin": "no condition that decides the gold leaf has a counterpart of the opposite truth",
     "duplicate": "the same program was drawn before",
+    "too_odd": "the parts of the program have less to do with each other than sampling.most_odd asks for",
     "label_over_cap": "every possible target label already has its share of the scene's leaves",
     **RULES,
 }

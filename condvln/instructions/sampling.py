@@ -306,6 +306,7 @@ class ProgramSampler:
             compass=self.sampling.compass_share,
             compass_phrases=self.sampling.compass_phrases,
             purpose=self.sampling.purpose,
+            most_odd=self.sampling.most_odd,
             search=self.sampling.search if searches(cell.category) and len(SHAPES[cell.category].branches) > 1 else 0.0,
         )
 

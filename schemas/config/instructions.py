@@ -281,6 +281,9 @@ class SamplingConfig(Section):
     purpose: Share = 1.0
     """share of the candidate programs whose goals are, where possible, what goes with what is asked: the desk, if the
     lamp is on it"""
+    most_odd: int | None = Field(None, ge=0)
+    """programs whose parts have less to do with each other than this are not used: 0 takes only those that look for a
+    thing where it may be and go there; by default all are, the least odd first"""
     search: Share = 0.7
     """share of the candidate programs of the categories chain and long_chain that look for one thing in several places,
     where a room has enough places: “if the book is on the desk, …; otherwise, if the book is on the bed, …”"""
