@@ -16,7 +16,7 @@ from condvln.instructions.programs import composition, oddness, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
 from condvln.labels import Vocabulary
-from condvln.labels.lists import belongs_by, goes_with
+from condvln.labels.lists import belongs_by, goes_with, labels_with_role
 from condvln.seeding import Draws
 from schemas.episode import Composition
 from schemas.program import SHAPES, Category, Leaf, Program, RoomRef
@@ -353,7 +353,9 @@ class CellDrawing:
             anchors = () if condition.qualifier is None else condition.qualifier.anchors
             labels = goes_with().get(condition.label, frozenset()) - {anchor.label for anchor in anchors}
             alike = self._stops.of_labels(labels)
-            places = self._stops.of_labels(labels & belongs_by().get(condition.label, frozenset())) or alike
+            where = labels & belongs_by().get(condition.label, frozenset())
+            on = self._stops.of_labels(where & labels_with_role("surface"))
+            places = on or self._stops.of_labels(where) or alike
             if branch.then < 0:
                 at = self._stops.of_object(anchors[0].object_id) if len(anchors) == 1 else 0
                 if not anchors:

@@ -64,9 +64,11 @@ ASIDE: Final[Mapping[Predicate, int]] = {"on": 0, "in": 0, "near": 1}
 def oddness(program: Program) -> int:
     """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
 
-    Where a relation holds, one goes to its anchor (0) or to a place where what is asked about serves a purpose (1);
-    else to such a place (0) or to something that serves a purpose with it (1). Any other goal counts 2, a goal outside
-    the room in which something is 1 more. Each stop before a goal counts 1, and 1 more if it serves no purpose with it.
+    Where a relation holds, one goes to its anchor (0); else to a place where what is asked about may lie (0). Any other
+    goal counts 1 if what is asked about serves a purpose there, 2 if both serve one, and 3 if they serve none or if one
+    is sent away from where it is or to where it is not; a goal outside the room in which something is 1 more. Each stop
+    before a goal counts 1, and 1 more if it serves no purpose with it.
+
     A condition counts 2 if nobody would look for what it is about, which is no portable thing; 1 if it asks what is
     near, 2 if it asks for any other relation but on and in, and 2 if the thing serves no purpose at the anchor. Each
     after the first counts 1 if it serves no purpose with one before it, and 1 if it is about another room.
@@ -79,9 +81,11 @@ def oddness(program: Program) -> int:
             if end < 0:
                 goal = program.leaves[-1 - end].moves[-1]
                 at_anchor = goal.object_id in [anchor.object_id for anchor in anchors]
-                if not (holds and at_anchor):
-                    elsewhere = holds and (bool(anchors) or goal.room.room_id != condition.room.room_id)
-                    found += 2 if at_anchor else _distance(condition.label, goal.label) + elsewhere
+                if anchors and holds != at_anchor:
+                    found += 3
+                elif not anchors or not holds:
+                    outside = holds and goal.room.room_id != condition.room.room_id
+                    found += _distance(condition.label, goal.label) + outside
     for leaf in program.leaves:
         found += sum(1 + (move.label not in goes_with().get(leaf.moves[-1].label, ())) for move in leaf.moves[:-1])
     for k, one in enumerate(program.conditions):
@@ -108,8 +112,10 @@ def truths_sent_to(program: Program) -> list[bool]:
 
 
 def _distance(asked: str, goal: str) -> int:
-    """Return 0 if a thing that is asked about belongs by a goal, 1 if they serve a purpose together, else 2."""
-    return 0 if goal in belongs_by().get(asked, ()) else 1 if goal in goes_with().get(asked, ()) else 2
+    """Return how little a thing that is asked about has to do with a goal: see `oddness`."""
+    if goal in belongs_by().get(asked, ()):
+        return 0 if goal in labels_with_role("surface") else 1
+    return 2 if goal in goes_with().get(asked, ()) else 3
 
 
 def composition(program: Program) -> Composition:

@@ -289,7 +289,7 @@ class SamplingConfig(Section):
     where a room has enough places: “if the book is on the desk, …; otherwise, if the book is on the bed, …”"""
     attempts: int = Field(24, ge=1, le=10_000)
     """maximum number of draws of a condition before the candidate is given up"""
-    draws_per_candidate: int = Field(10, ge=1, le=10_000)
+    draws_per_candidate: int = Field(20, ge=1, le=10_000)
     """maximum number of draws of whole candidates of one composition before the composition is given up"""
 
     @model_validator(mode="after")

@@ -335,7 +335,7 @@ def test_every_weight_of_a_predicate_decides(make_scene, facts_maker, group: str
     weights = PredicateWeights(**{name: 0.7 * (name == group) for name in PREDICATE_GROUPS})
     own, sampling = PREDICATE_GROUPS[group], SamplingConfig(predicates=weights)
     pool = ConditionPool(None, dict.fromkeys(product(PREDICATES, (True, False)), cast("RelationPool", None)))
-    asked = ConditionSampler({}, sampling, vocabulary, single_room=False)._groups(pool)
+    asked = ConditionSampler({}, sampling, vocabulary, NO_TARGETS, single_room=False)._groups(pool)
     assert [(forms, weight) for forms, weight in asked if weight] == [(tuple(product(own, (True, False))), 0.7)]
     scene = make_scene(0)
     bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
