@@ -59,6 +59,10 @@ def nested(first: Condition, second: Condition) -> Program:
     return program("nested", [first, second], [[stop("sink")], [stop("stove")], [stop("table")]])
 
 
+def chain(first: Condition, second: Condition) -> Program:
+    return program("chain", [first, second], [[stop("sink")], [stop("stove")], [stop("kettle")]])
+
+
 CASES = [
     ("a plain one", simple(asks("lamp", "bed")), ()),
     ("presence", simple(asks("lamp")), ()),
@@ -122,6 +126,28 @@ CASES = [
         ),
         (),
     ),
+    ("one thing in two places", chain(asks("book", "bed", predicate="on"), asks("book", "desk", predicate="in")), ()),
+    (
+        "one thing in two places, both of which it may be at",
+        nested(asks("book", "bed", predicate="on"), asks("book", "desk", predicate="on")),
+        ("implied",),
+    ),
+    (
+        "one thing in one place twice",
+        chain(asks("book", "bed", predicate="on"), asks("book", "bed", predicate="in")),
+        ("implied",),
+    ),
+    (
+        "one thing near two places",
+        chain(asks("book", "bed", predicate="on"), asks("book", "desk")),
+        ("implied",),
+    ),
+    (
+        "one thing in places of two rooms",
+        chain(asks("book", "bed", predicate="on"), asks("book", "table", KITCHEN, "on")),
+        ("one_label",),
+    ),
+    ("the presence of what is looked for", chain(asks("book"), asks("book", "desk", predicate="on")), ("implied",)),
     ("one target", simple(asks("lamp"), [stop("sink")], [stop("sink")]), ("idle_condition", "one_target")),
     (
         "a room entered twice",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import cast
 
@@ -48,7 +49,7 @@ label, room = st.sampled_from(LABELS), st.sampled_from(ROOMS)
 @st.composite
 def claims(draw: st.DrawFn) -> Claim:
     anchors = tuple(draw(st.lists(label, max_size=2, unique=True)))
-    return Claim(draw(room), None, draw(label), anchors, not anchors)
+    return Claim(draw(room), None, draw(label), anchors, not anchors, len(anchors) == 1 and draw(st.booleans()))
 
 
 phrases = st.lists(st.tuples(room, label, st.lists(label, max_size=2, unique=True).map(tuple)), max_size=3)
@@ -59,16 +60,20 @@ phrases = st.lists(st.tuples(room, label, st.lists(label, max_size=2, unique=Tru
     phrases,
     st.fixed_dictionaries(dict.fromkeys(ROOMS, st.none() | label)),
     st.fixed_dictionaries(dict.fromkeys(LABELS, st.booleans())),
+    st.booleans(),
 )
 def test_what_a_text_excludes_is_what_violates_a_rule(
     made: list[Claim],
     said: list[tuple[str, str, tuple[str, ...]]],
     rooms: dict[str, str | None],
     shared: dict[str, bool],
+    search: bool,
 ) -> None:
     """Whichever things name the rooms."""
     words = cast("Vocabulary", Words(shared))
-    excluded = RuledOut(Conflicts(made, words), [(where, rooms[where], what, by) for where, what, by in said], rooms)
+    excluded = RuledOut(
+        Conflicts(made, words), [(where, rooms[where], what, by) for where, what, by in said], rooms, search=search
+    )
     for claim in made[:-1]:
         excluded.add(claim)
     stops = {(where, what) for where, what, _ in said}
@@ -77,8 +82,8 @@ def test_what_a_text_excludes_is_what_violates_a_rule(
     given_ = Presupposed(
         frozenset(stops), frozenset(stops | {(where, anchor) for where, _, anchor in pairs} | named), frozenset(pairs)
     )
-    full = [Claim(one.room_id, rooms[one.room_id], one.label, one.anchors, one.presence) for one in made]
-    violated = clash_of_claims(full[-1], full[:-1], given_, words)
+    full = [replace(one, room_anchor=rooms[one.room_id]) for one in made]
+    violated = clash_of_claims(full[-1], full[:-1], given_, words, search=search)
     found = [rule for rule, statements in excluded.by_rule.items() if statements >> (len(made) - 1) & 1]
     assert (violated is None) == (not found)
     assert violated is None or violated in found

@@ -22,7 +22,7 @@ from condvln.instructions.degeneracy import REASONS
 from condvln.instructions.predicates import COMPASS, GROUP_OF, PREDICATE_GROUPS, PREDICATES
 from condvln.instructions.programs import composition, instruction_id
 from condvln.instructions.rendering import names_compass, render, with_preamble, word_count
-from condvln.instructions.stops import Stops, preferences
+from condvln.instructions.stops import Stops, Targets, preferences
 from condvln.labels import vocabulary
 from condvln.labels.lists import goes_with
 from condvln.scene import Scene
@@ -259,7 +259,10 @@ def test_compositions(sampled) -> None:
             # Four leaves hardly ever fit into one small room; two do.
             small = Counter(composition(p) for p in programs if p.category == "simple")
             assert min(small[c] for c in ("C0", "C1", "C2")) >= 0.05 * sum(small.values())
-            assert found["C1"] > found["C2"] >= 0.2 * len(programs)
+            assert found["C1"] > found["C2"]
+            # What is looked for in several places is looked for in few rooms.
+            others = [p for p in programs if p.category not in ("chain", "long_chain")]
+            assert sum(composition(p) == "C2" for p in others) >= 0.15 * len(others)
 
 
 @pytest.mark.parametrize("composition_", ["C0", "C1", "C2"])
@@ -329,13 +332,16 @@ def test_a_cell_bounds_the_words_of_the_published_text(make_scene, facts_maker, 
     assert sampler.rejections[none, "words_missed"] > 100
 
 
+NOWHERE = np.zeros((0, 0), dtype=bool)
+
+
 @pytest.mark.parametrize("group", PREDICATE_GROUPS)
 def test_every_weight_of_a_predicate_decides(make_scene, facts_maker, group: str) -> None:
     """For conditions and for names of stops, also of predicates that no made scene has a use for."""
     weights = PredicateWeights(**{name: 0.7 * (name == group) for name in PREDICATE_GROUPS})
     own, sampling = PREDICATE_GROUPS[group], SamplingConfig(predicates=weights)
     pool = ConditionPool(None, dict.fromkeys(product(PREDICATES, (True, False)), cast("RelationPool", None)))
-    asked = ConditionSampler({}, sampling, vocabulary, NO_TARGETS, single_room=False)._groups(pool)
+    asked = ConditionSampler({}, sampling, vocabulary, Targets((), NOWHERE, NOWHERE), single_room=False)._groups(pool)
     assert [(forms, weight) for forms, weight in asked if weight] == [(tuple(product(own, (True, False))), 0.7)]
     scene = make_scene(0)
     bits = LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
@@ -496,7 +502,9 @@ def test_goals_fit_what_is_asked_and_change_nothing_of_what_is_asked(make_scene,
         facts, bits = facts_maker(scene), LabelPriors.of_scene(scene, Thresholds(), 0.3).bits(scene, 0.05)
         asked = {}
         for share in fits:
-            sampling = SamplingConfig(purpose=share, compass_share=1.0, compass_phrases=8, usual_places=False)
+            sampling = SamplingConfig(
+                purpose=share, search=0.0, compass_share=1.0, compass_phrases=8, usual_places=False
+            )
             sampler = made_sampler(scene, facts, bits, sampling=sampling, per_category=dict.fromkeys(CATEGORIES, 8))
             programs = [program for category in CATEGORIES for program in sampler.candidates(category)]
             asked[share] = [program.conditions for program in programs]
