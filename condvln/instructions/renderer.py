@@ -27,7 +27,7 @@ from schemas.program import (
 __all__ = ["Renderer"]
 
 LOOK_AT_SHARE: Final = 0.5
-"""Share of requests about a definite object that say "look at the lamp. If it's near the bed, …"."""
+"""Share of requests about a definite object that say "find the lamp. If it's near the bed, …"."""
 CHECK_SHARE: Final = 0.4
 """Share of requests to look for something that name the room first ("check the kitchen for a lamp")."""
 LOOK_SHARE: Final = 0.4
@@ -60,7 +60,7 @@ class Heard:
     asked_by: Literal["", "exists", "look"] = ""
     """whether the last question was "there is …" or "look for …", so that "there is" or "you find one" answers it"""
     looked_at: int | None = None
-    """condition whose object one was told to look at, so that "it's …" answers it"""
+    """condition whose object one was told to find, so that "it's …" answers it"""
     answer: tuple[str, int] = "", 0
     """the last short answer, and how many requests came before it"""
     denied: int | None = None
@@ -261,7 +261,7 @@ class Renderer:
             self._inside = condition.room.room_id
         self.heard.beside = not again and self._is_in_room_asked(condition)
         joined = form in _JOINED
-        # "If there's a bed in the bedroom and a bath in the bathroom, look at the lamp": in which room?
+        # "If there's a bed in the bedroom and a bath in the bathroom, find the lamp": in which room?
         is_second_room = joined and self.heard.room_asked != condition.room.room_id
         self.heard.room_asked = None if is_second_room else condition.room.room_id
         if again and not self.naming.is_shared(condition):
@@ -423,10 +423,10 @@ class Renderer:
 
     def _see(self, condition: Condition, index: int) -> str:
         self.heard.requests += 1
-        # Two requests in a row that begin with "look for" or "look at" sound like a machine.
+        # Two requests in a row that begin with "look for" or "find" sound like a machine.
         before, self.heard.request = self.heard.request, ""
         if condition.definite:
-            # "If it is, look at the plant": not "if it is, see if the plant …", with "it is" again as the answer.
+            # "If it is, find the plant": not "if it is, see if the plant …", with "it is" again as the answer.
             again = len(self.voice.slots["yes_it"]) == 1 and self.heard.answer[0] in self.voice.slots["yes_it"]
             again = again and self._template.answered.get(index) == "yes"
             sayable = index in self._template.answered and not self._is_set_apart(condition.room)

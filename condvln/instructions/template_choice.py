@@ -125,7 +125,7 @@ class TemplateChoice:
         return any(condition.definite and condition.room.anchor_label is not None for condition in asked)
 
     def _looks_afar(self, template: Template) -> bool:
-        """Return whether a template says "look at the lamp in the kitchen" to somebody whom nothing has sent there."""
+        """Return whether a template says "find the lamp in the kitchen" to somebody whom nothing has sent there."""
         if len(self._naming.rooms) < 2:
             return False
         led = self._program.last_leads

@@ -302,7 +302,7 @@ def _lint(texts: Sequence[InstructionText]) -> dict[str, int] | None:
 
 
 def _asked(texts: Sequence[InstructionText]) -> dict[str, float] | None:
-    """Return shares: of texts over several rooms and, of those, with a lead; of orders to look ("look at the lamp") in
+    """Return shares: of texts over several rooms and, of those, with a lead; of orders to look ("find the lamp") in
     a room to which nothing has sent one; of relations between two things that are built in or too heavy to move; and of
     stops and conditions about what nobody would say (worth 0). Return None if there are no texts.
     """

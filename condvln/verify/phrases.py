@@ -321,7 +321,7 @@ class PhraseReader(WordReader):
                     yield stop, Phrase(label, (bearing, ()), room, True), room
 
     def _looked_at(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Parse what follows "look at": an object that is known to exist. The answer says the relation."""
+        """Parse what follows "find": an object that is known to exist. The answer says the relation."""
         for end, label in self._definite(at, "noun"):
             for after, room, named in self._where(end, last, belonging=True):
                 yield after, Phrase(label, None, room, True), named

@@ -56,7 +56,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 32
+    version: int = 33
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 
@@ -100,7 +100,7 @@ class EpisodeStage(Stage):
     settings: ProgramSettings
     max_climb: float
     name: str = "episodes"
-    version: int = 39
+    version: int = 40
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

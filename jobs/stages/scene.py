@@ -102,7 +102,7 @@ class RelationStage(Stage):
         return StageOutput(tables={"relations": relation_table(scene, relations, self.thresholds, facts)})
 
 
-COUNTING: Final = 20
+COUNTING: Final = 21
 """Version of how statements are counted, in a scene and over all scenes."""
 
 

@@ -505,7 +505,7 @@ def test_goals_fit_what_is_asked_and_change_nothing_of_what_is_asked(make_scene,
             sampling = SamplingConfig(
                 purpose=share, search=0.0, compass_share=1.0, compass_phrases=8, usual_places=False
             )
-            sampler = made_sampler(scene, facts, bits, sampling=sampling, per_category=dict.fromkeys(CATEGORIES, 8))
+            sampler = made_sampler(scene, facts, bits, sampling=sampling, per_category=dict.fromkeys(CATEGORIES, 4))
             programs = [program for category in CATEGORIES for program in sampler.candidates(category)]
             asked[share] = [program.conditions for program in programs]
             fits[share] += [fit for program in programs for fit in _fits(program)]

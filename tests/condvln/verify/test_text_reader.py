@@ -73,11 +73,10 @@ def test_a_scope_is_the_room_of_all_that_names_none() -> None:
 
 
 @pytest.mark.parametrize("code", ["en", "es"])
-def test_an_answer_can_say_the_relation_of_a_thing_that_is_looked_at(code: str) -> None:
+def test_an_answer_can_say_the_relation_of_a_thing_to_find(code: str) -> None:
     text = {
-        "en": "Look at the lamp in the kitchen. If it's near the bed, go to the sofa there. If not, go to the bed "
-        "there.",
-        "es": "Fíjate en la lámpara de la cocina. Si está cerca de la cama, ve al sofá de la cocina. Si no, ve a la "
+        "en": "Find the lamp in the kitchen. If it's near the bed, go to the sofa there. If not, go to the bed there.",
+        "es": "Busca la lámpara de la cocina. Si está cerca de la cama, ve al sofá de la cocina. Si no, ve a la "
         "cama de la cocina.",
     }[code]
     reading = read(text, code)
