@@ -11,7 +11,7 @@ from itertools import accumulate
 from typing import Final
 
 from condvln.instructions.condition_sampler import AskedStatement, ConditionSampler
-from condvln.instructions.degeneracy import GivenUp, outcomes, searches
+from condvln.instructions.degeneracy import GivenUp, outcomes
 from condvln.instructions.programs import composition, oddness, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
@@ -289,7 +289,7 @@ class CellDrawing:
         start_room = draws.choice(starts) if starts and wanted.egocentric else None
         named, bearings, compass = self._name_stops(leaves, rooms, start_room, said, draws)
         excluded = self._conditions.excluded_by(
-            (name.ref for leaf in named for name in leaf), rooms.values(), search=searches(wanted.category)
+            (name.ref for leaf in named for name in leaf), rooms.values(), search=self._search
         )
         places: list[AskedStatement] | None = []
         if self._search:
