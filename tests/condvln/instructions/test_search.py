@@ -37,7 +37,9 @@ def flat(where: str, *, near: bool = False) -> Scene:
 
 def drawn(scene: Scene, facts: Mapping[str, TextFacts], category: Category, search: float) -> list[Program]:
     homes = [
-        replace(flat(where), scene_id=f"{where} {k}") for where in ("desk", "bed", "coffee table", "sofa") for k in range(6)
+        replace(flat(where), scene_id=f"{where} {k}")
+        for where in ("desk", "bed", "coffee table", "sofa")
+        for k in range(6)
     ]
     corpus = LabelPriors.merged(LabelPriors.of_scene(home, Thresholds(), 0.3) for home in homes)
     sampling = SamplingConfig(search=search, candidates_per_episode=6, moves_drawn=(1.0, 0.0, 0.0))
@@ -45,6 +47,11 @@ def drawn(scene: Scene, facts: Mapping[str, TextFacts], category: Category, sear
         scene, facts, corpus.bits(scene, 0.05), sampling=sampling, per_category={category: 8}, label_cap=1.0
     )
     return list(sampler.candidates(category))
+
+
+def places_of(program: Program) -> list[str]:
+    """The place that each condition asks about."""
+    return [one.qualifier.anchor_ids[0] if one.qualifier else "" for one in program.conditions]
 
 
 def searches(program: Program) -> bool:
@@ -58,7 +65,7 @@ def test_one_thing_is_looked_for_in_places_where_one_can_be_sent(facts_maker, ca
     found = [program for program in programs if searches(program)]
     assert len(found) == len(programs) > 10
     for program in found:
-        places = [condition.qualifier.anchors[0].object_id for condition in program.conditions]
+        places = places_of(program)
         assert {condition.label for condition in program.conditions} == {"book"}
         assert len(set(places)) == len(places), "each place is asked about once"
         truths = [condition.truth for condition in program.conditions]
@@ -66,9 +73,7 @@ def test_one_thing_is_looked_for_in_places_where_one_can_be_sent(facts_maker, ca
     golds = Counter(program.gold_leaf() for program in found)
     assert len(golds) == len(found[0].leaves), "found at each place, and at none"
     sent = [
-        program.leaves[k].goal.object_id == condition.qualifier.anchors[0].object_id
-        for program in found
-        for k, condition in enumerate(program.conditions)
+        program.leaves[k].goal.object_id == place for program in found for k, place in enumerate(places_of(program))
     ]
     assert np.mean(sent) > 0.5, "one goes to where it is"
     for program in found:
