@@ -68,7 +68,7 @@ FACTS: Final[Mapping[str, str]] = {
     "leads": "the leads in the text equal those of the program, which has one wherever a condition is in another room",
     "distinct_goals": "all leaves have different goals, and no leaf visits an object twice",
     "room_types": "named rooms have different types",
-    "labels_apart": "conditions are about objects that can't have the same name",
+    "labels_apart": "conditions are about objects that can't have the same name, or look for one thing elsewhere",
     "most_moves": "a leaf of a program with four leaves has at most two moves",
     "room_order": "the stops of a leaf never return to a room",
     "condition_matters": "for some truths of the others, each condition changes the goal",

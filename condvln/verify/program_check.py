@@ -52,7 +52,7 @@ def check_program(row: ManifestEpisode | UnplacedText, certificate: Certificate)
     for k in range(len(conditions)):
         matters = any(goals[one] != goals[other] for one, other in _rivals(program.category, k))
         certificate.holds("condition_matters", matters, "another goal", "none", f"condition {k}")
-    _check_independence(conditions, certificate)
+    _check_independence(program, certificate)
 
 
 def _check_leads(program: Program, certificate: Certificate) -> None:
@@ -81,17 +81,36 @@ def sharing(program: Program, condition: int) -> list[int]:
     return sorted(led[-1]) if led else [*range(len(program.leaves))]
 
 
-def _check_independence(conditions: Sequence[Condition], certificate: Certificate) -> None:
-    """Check that no condition is decided by its own words or by another condition, and that their labels differ."""
+def _check_independence(program: Program, certificate: Certificate) -> None:
+    """Check that no condition is decided by its own words or by another condition, and that their labels differ but for
+    those that look for one thing elsewhere.
+    """
+    conditions = program.conditions
     meant = [words().meant_by(condition.label) for condition in conditions]
     for k, condition in enumerate(conditions):
         settled = _settled(condition, meant[k])
         certificate.holds("independent_conditions", not settled, "open", "settled", f"condition {k}")
         for j, other in enumerate(conditions[:k]):
-            own_label = other.label not in meant[k]
+            elsewhere = _looks_elsewhere(condition, other) and _only_if_not(program, k, j)
+            own_label = elsewhere or other.label not in meant[k]
             certificate.holds("labels_apart", own_label, "another label", other.label, f"condition {k}")
-            apart = not (_follows(condition, meant[k], other) or _follows(other, meant[j], condition))
+            apart = elsewhere or not (_follows(condition, meant[k], other) or _follows(other, meant[j], condition))
             certificate.holds("independent_conditions", apart, "independent", f"condition {j}", f"condition {k}")
+
+
+def _looks_elsewhere(one: Condition, other: Condition) -> bool:
+    """Return whether both conditions ask on or in what one thing of a room is, and name different places."""
+    if one.qualifier is None or other.qualifier is None or (one.room, one.label) != (other.room, other.label):
+        return False
+    (place, *_), (before, *_) = one.qualifier.anchor_labels, other.qualifier.anchor_labels
+    asked = {one.qualifier.predicate, other.qualifier.predicate}
+    return asked <= {"on", "in"} and before not in words().meant_by(place) and place not in words().meant_by(before)
+
+
+def _only_if_not(program: Program, condition: int, other: int) -> bool:
+    """Return whether a condition is asked only where an `other` one fails."""
+    sides = {asked: (then, otherwise) for asked, then, otherwise in tree_of(program).sides}
+    return {leaf for side in sides[condition] for leaf in side} <= set(sides[other][1])
 
 
 def _check_evidence(row: ManifestEpisode | UnplacedText, certificate: Certificate) -> None:
