@@ -401,15 +401,18 @@ def _sent(name: str, goal: str, *, truth: bool) -> Candidate:
 
 
 def test_the_least_odd_programs_are_placed_first_if_goals_shall_fit() -> None:
-    goals = ["toilet", "bookshelf", "dining table"] * 4
-    listed = [_sent(f"{k}", f"{goal} {k}", truth=bool(k // 3 % 2)) for k, goal in enumerate(goals)]
+    goals = ["toilet", "bed", "dining table"] * 4
+    listed = [
+        replace(one, program=one.program.model_copy(update={"leaves": (*_at_desk(one)[:1], one.program.leaves[0])}))
+        for one in (_sent(f"{k}", f"{goal} {k}", truth=bool(k // 3 % 2)) for k, goal in enumerate(goals))
+    ]
     cell = listed[0].cell
     found = {}
     for purposeful in (False, True):
         pool = fill_pool(
             Listed(listed), Anywhere(), (cell,), 1.0, lambda _: False, None, 0, None, purposeful=purposeful
         )
-        found[purposeful] = Counter(e.program.leaves[0].goal.label for e in pool.episodes)
+        found[purposeful] = Counter(e.program.leaves[1].goal.label for e in pool.episodes)
     assert found[False]["toilet"] == 2, "in their order"
     assert found[True].total() == 4
     assert "toilet" not in found[True], "nobody looks for a book there"
