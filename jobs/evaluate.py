@@ -38,6 +38,14 @@ SHOWN: Final = 5
 
 MAIN_TABLES: Final = ("main", "sweep", "twin_main")
 """Tables that are printed by default, where they exist; ``--json`` and ``--csv`` have all."""
+FIRST: Final = ("success_distance", "success", "spl_look", "bsa_all", "csr_all", "justified", "episodes")
+"""Measures of these tables that are printed by default; a table that is asked for has all."""
+LEGEND: Final = (
+    "In %, SR: walks that stop at the goal; SPL-look: SR weighted by the looking path's length ÷ the walk's; "
+    "BSA-all: subgoals reached in order; CSR-all: walks that reach all of them and succeed; justified: walks that "
+    "succeed and saw what decides the conditions. condvln evaluate --all prints all measures; docs/metrics.md has "
+    "their definitions."
+)
 LEAST_COLUMNS: Final = 4
 """Columns of a table that a narrow terminal shows, however many digits it breaks."""
 ALL_TABLES: Final = "all"
@@ -167,12 +175,13 @@ class EvaluationReport:
         self.twins = twins
         self.tables = tables
         self.handed_in = handed_in
-        self._asked = tuple(asked) or tuple(name for name in MAIN_TABLES if name in {t.name for t in tables})
+        self._asked = tuple(asked)
 
     @property
     def shown(self) -> list[Table]:
         """Return the tables to print: those requested by name, else the main ones."""
-        return [table for table in self.tables if self._asked == (ALL_TABLES,) or table.name in self._asked]
+        asked = self._asked or MAIN_TABLES
+        return [table for table in self.tables if asked == (ALL_TABLES,) or table.name in asked]
 
     @property
     def warnings(self) -> list[str]:
@@ -232,10 +241,19 @@ class EvaluationReport:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield from (Text(f"warning: {warning}") for warning in self.warnings)
         for table in self.shown:
-            yield from _fitting(table, console, options)
+            yield from _fitting(table if self._asked else _first(table), console, options)
+        if not self._asked:
+            yield Text(LEGEND)
         others = [table.name for table in self.tables if table not in self.shown]
         if others:
             yield Text(f"more tables, with --table NAME or --all: {', '.join(others)}")
+
+
+def _first(table: Table) -> Table:
+    """Return a table with its leading columns and the measures of FIRST alone."""
+    kept = [k for k, column in enumerate(table.columns) if column.kind == "text" or column.key in FIRST]
+    rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
+    return replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows, note="")
 
 
 def _fitting(table: Table, console: Console, options: ConsoleOptions) -> RenderResult:

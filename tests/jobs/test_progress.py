@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import pytest
-
 from rich.console import Console
 
 from factory.executor import InlineExecutor
