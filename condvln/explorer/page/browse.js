@@ -12,7 +12,7 @@
 
   function select(name, values, asked, change) {
     const node = element("select", { id: `filter-${name}`, name }, element("option", { value: "" }, "all"),
-      values.map((value) => element("option", { value, selected: asked[name] === String(value) }, value)));
+      values.map((value) => element("option", { value, selected: asked[name] === String(value) }, explorer.meaning(value) ? `${value}: ${explorer.meaning(value)}` : value)));
     node.addEventListener("change", () => change(name, node.value));
     return field(name, node);
   }
