@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -96,24 +96,17 @@ class HandedIn:
     @property
     def faults(self) -> list[str]:
         """What a strict evaluation refuses, a sentence each."""
-        found = []
-        if self.missing:
-            found.append(
-                f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
-                f"failures: {_shown(self.missing)}"
-            )
-        if self.gaps:
-            found.append(
-                f"{len(self.gaps)} of {self.episodes} episodes have steps that no single action can make (too long, "
-                f"through a wall, or between viewpoints without a common edge), {sum(self.gaps.values())} in all; "
-                f"TL and SPL measure them along the shortest way: {_shown(tuple(self.gaps))}"
-            )
-        if self.off_navmesh:
-            found.append(
-                f"{len(self.off_navmesh)} of {self.episodes} episodes have poses more than {OFF_NAVMESH:g} m off the "
-                f"navmesh, {sum(self.off_navmesh.values())} in all: {_shown(tuple(self.off_navmesh))}"
-            )
-        return found
+        gaps, off = sum(self.gaps.values()), sum(self.off_navmesh.values())
+        told: tuple[tuple[Collection[str], str], ...] = (
+            (self.missing, "have no prediction, or an empty path, and count as failures"),
+            (
+                self.gaps,
+                "have steps that no single action can make (too long, through a wall, or between viewpoints without a "
+                f"common edge), {gaps} in all; TL and SPL measure them along the shortest way",
+            ),
+            (self.off_navmesh, f"have poses more than {OFF_NAVMESH:g} m off the navmesh, {off} in all"),
+        )
+        return [f"{len(ids)} of {self.episodes} episodes {what}: {_shown(tuple(ids))}" for ids, what in told if ids]
 
     @property
     def warnings(self) -> list[str]:
@@ -252,8 +245,13 @@ class EvaluationReport:
 def _first(table: Table) -> Table:
     """Return a table with its leading columns and the measures of FIRST alone."""
     kept = [k for k, column in enumerate(table.columns) if column.kind == "text" or column.key in FIRST]
+    return replace(_part(table, kept), note="")
+
+
+def _part(table: Table, kept: Sequence[int]) -> Table:
+    """Return some columns of a table."""
     rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
-    return replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows, note="")
+    return replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows)
 
 
 def _fitting(table: Table, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -264,8 +262,7 @@ def _fitting(table: Table, console: Console, options: ConsoleOptions) -> RenderR
     left_out: list[str] = []
     unbounded = options.update_width(10 * PIPE_WIDTH)
     while True:
-        rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
-        shown = as_rich(replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows))
+        shown = as_rich(_part(table, kept))
         if len(kept) <= LEAST_COLUMNS or Measurement.get(console, unbounded, shown).maximum <= options.max_width:
             break
         left_out.insert(0, table.columns[kept.pop(-2)].heading)

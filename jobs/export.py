@@ -124,7 +124,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     lines = [f"export of snapshot {snapshot.snapshot_id} in {out}", *guard.said, *_left_out(done)]
     categories = _categories(done, snapshot)
     lines += _lost_categories(categories)
-    columns = ("category", "wanted", "placed", "kept", "left out")
+    columns = ("category", "wanted (without groups)", "placed", "kept", "left out")
     sections = [Section("Splits", ("split", "scenes", "episodes"), [*rows]), Section("Categories", columns, categories)]
     if short := done.shortfalls:
         missing = sum(cell.shortfall for cell in short)
@@ -171,17 +171,17 @@ def _categories(done: ExportReport, snapshot: Snapshot) -> list[Sequence[Any]]:
 
 def _lost_categories(categories: Sequence[Sequence[Any]]) -> list[str]:
     """Return a warning for each category of which nothing is kept: why, and what can be done."""
-    said = []
-    for name, wanted, placed, kept, reasons in categories:
-        if not kept:
-            why = (
-                f"left out: {reasons}. A split keeps a category of a source only with an episode of every gold leaf: "
-                "use more scenes, a larger instructions.per_category, or fewer splits (splits.fractions)"
-                if placed
-                else "condvln status CONFIG says what rejected the candidates; use more or larger scenes"
-            )
-            said.append(f"WARNING: no episode of {name} is in a split: {wanted} wanted, {placed} placed, 0 kept; {why}")
-    return said
+    why = (
+        "left out: {}. A split keeps a category of a source only with an episode of every gold leaf: use more scenes, "
+        "a larger instructions.per_category, or fewer splits (splits.fractions)"
+    )
+    none = "condvln status CONFIG says what rejected the candidates; use more or larger scenes"
+    return [
+        f"WARNING: no episode of {name} is in a split: {wanted} wanted, {placed} placed, 0 kept; "
+        + (why.format(reasons) if placed else none)
+        for name, wanted, placed, kept, reasons in categories
+        if not kept
+    ]
 
 
 def _left_out(done: ExportReport) -> list[str]:

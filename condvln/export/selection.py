@@ -223,16 +223,11 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
         if (selection.split == code).any() or not asked or (split == "val_seen" and config.val_seen_share == 0):
             continue
         available = sum(cell.available for cell in selection.cells if cell.split == split)
-        if not groups[group] and len(pool.scenes) == 1:
-            ((family, scene),) = pool.scenes
+        if not groups[group]:
             why = (
-                f"the only scene with episodes, {family}/{scene}, is in {next(iter(groups))}, and a scene is in one "
-                f'split only; splits.scenes: {{{group}: ["{family}/{scene}"]}} moves it there, more scenes fill both'
-            )
-        elif not groups[group]:
-            why = (
-                f"none of the {len(pool.scenes)} scenes with episodes belongs to it; splits.scenes.{group} names some, "
-                "and with a share of 0 in splits.fractions it is not asked for"
+                f"a scene is in one split only, and all scenes with episodes ({len(pool.scenes)}) are in "
+                f"{' and '.join(sorted(groups))}; splits.scenes: {{{group}: [{'/'.join(min(pool.scenes))}]}} moves "
+                "this one here, and more scenes fill more splits"
             )
         elif not available and split == "val_seen":
             why = f"it takes {config.val_seen_share:g} of the train scenes' episodes by hash, and none falls in it"

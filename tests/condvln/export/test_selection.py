@@ -230,7 +230,7 @@ def test_one_scene_alone_is_told_which_split_has_it_and_which_key_moves_it() -> 
     empty = select(pool, SplitsConfig(scenes={"test": ("*/lab",)})).empty
     assert {*empty} == {"train", "val_seen", "val_unseen"}
     for split in ("train", "val_unseen"):
-        assert "the only scene with episodes, replicacad/lab, is in test" in empty[split]
-        assert f'splits.scenes: {{{split}: ["replicacad/lab"]}} moves it there' in empty[split]
+        assert "a scene is in one split only, and all scenes with episodes (1) are in test" in empty[split]
+        assert f"splits.scenes: {{{split}: [replicacad/lab]}} moves this one here" in empty[split]
     moved = select(pool, SplitsConfig(scenes={"train": ("replicacad/lab",)})).empty
     assert "train" not in moved
