@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 from urllib.parse import quote
 
 import numpy as np
@@ -149,32 +149,24 @@ def handed_in(path: Path, evaluation: Evaluation) -> HandedIn:
     )
 
 
+@dataclass
 class EvaluationReport:
     """The tables of one evaluation, and the episodes that each file of predictions lacks. The library rich can print
     this report on a terminal.
     """
 
-    exit_code = 0
-
-    def __init__(
-        self,
-        evaluations: Sequence[Evaluation],
-        tables: Sequence[Table],
-        handed_in: Sequence[HandedIn] = (),
-        asked: Sequence[str] = (),
-        twins: Sequence[Evaluation] = (),
-    ) -> None:
-        self.evaluations = evaluations
-        self.twins = twins
-        self.tables = tables
-        self.handed_in = handed_in
-        self._asked = tuple(asked)
+    evaluations: Sequence[Evaluation]
+    tables: Sequence[Table]
+    handed_in: Sequence[HandedIn] = ()
+    asked: Sequence[str] = ()
+    twins: Sequence[Evaluation] = ()
+    exit_code: ClassVar[int] = 0
 
     @property
     def shown(self) -> list[Table]:
         """Return the tables to print: those requested by name, else the main ones."""
-        asked = self._asked or MAIN_TABLES
-        return [table for table in self.tables if asked == (ALL_TABLES,) or table.name in asked]
+        asked = self.asked or MAIN_TABLES
+        return [table for table in self.tables if (*asked,) == (ALL_TABLES,) or table.name in asked]
 
     @property
     def warnings(self) -> list[str]:
@@ -234,8 +226,8 @@ class EvaluationReport:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield from (Text(f"warning: {warning}") for warning in self.warnings)
         for table in self.shown:
-            yield from _fitting(table if self._asked else _first(table), console, options)
-        if not self._asked:
+            yield from _fitting(table if self.asked else _first(table), console, options)
+        if not self.asked:
             yield Text(LEGEND)
         others = [table.name for table in self.tables if table not in self.shown]
         if others:
