@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.episodes.footprint import Footprint
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.scene import Room, Scene, SceneObject
@@ -18,8 +19,6 @@ from condvln.seeding import generator
 from schemas.config.constants import FLOOR_LEAST_SPACING, FLOOR_LIFT, FLOOR_POINTS, SINK, SNAP_TOLERANCE
 
 __all__ = ["floor_points", "standing_points"]
-
-F64 = NDArray[np.float64]
 
 
 def floor_points(

@@ -9,14 +9,13 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.scene import OrientedBox, SceneObject
 from schemas.config.constants import UPRIGHT_COSINE
 
 __all__ = ["Footprint", "Footprints"]
 
-F64 = NDArray[np.float64]
 
 ROUNDING: Final = 1e-6
 """Largest deviation in metres of a sampled curve from the exact one."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
+from condvln.arrays import F64
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
@@ -32,7 +33,6 @@ from schemas.config.constants import (
 
 __all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "wide_islands"]
 
-F64 = NDArray[np.float64]
 Sight = tuple[SceneView, Recognition]
 
 

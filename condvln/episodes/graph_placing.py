@@ -25,7 +25,6 @@ from schemas.program import Program
 
 __all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph", "viewpoint_stops"]
 
-F64 = NDArray[np.float64]
 
 REACH: Final = 3.0
 """Largest distance in metres from an object's box to the viewpoint that represents it; R2R's success distance."""

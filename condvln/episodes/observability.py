@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.episodes.floor import floor_points
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.goals import wide_islands
@@ -38,8 +38,6 @@ from schemas.program import Condition, Program
 
 __all__ = ["FIRST_VIEW", "Observation", "Observer", "SightNeed", "common_prefix", "places_at", "row_by_row"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 DIGITS: Final = 2
 """Decimals of published degrees."""
 FIRST_VIEW: Final = "O0f"

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.glb_part import GlbPart, Primitive, read_part, shifted
@@ -36,7 +37,6 @@ from schemas.errors import InputError
 
 __all__ = ["GENERATOR", "ComposedScene", "GlbWriter", "compose_scene", "is_composed"]
 
-F64 = NDArray[np.float64]
 Tree = dict[str, Any]
 
 STAGE: Final = "stage"

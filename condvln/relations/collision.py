@@ -14,13 +14,13 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.glb import GlbGeometry
 from condvln.scene import OrientedBox
 from condvln.scene.boxes import corners
 
 __all__ = ["CollisionBody", "asset_body", "body_of", "box_body"]
 
-F64 = NDArray[np.float64]
 Faces = NDArray[np.integer[Any]]
 
 KEPT_TRIANGLES: Final = 1_500_000

@@ -10,11 +10,11 @@ import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 from typing import Any, Final
 
 import yaml
 
+from condvln.own_tables import own_text
 from condvln.samples.catalogue import VARIANTS, Kind, catalogue
 from condvln.samples.layout import Yaw
 from condvln.samples.room_space import HANG_GAP, WALL_GAP, Edge, Piece, RoomSpace
@@ -401,10 +401,9 @@ def _place_row(rng: random.Random, room: RoomSpace, step: Step) -> bool:
 @cache
 def recipes() -> dict[str, Recipe]:
     """Return all recipes by name: one for each room type, and the filler recipe."""
-    text = resources.files("condvln.samples").joinpath("recipes.yaml").read_text(encoding="utf-8")
     return {
         label: Recipe(*(tuple(_step(line) for line in recipe.get(part, ())) for part in ("first", "then")))
-        for label, recipe in yaml.safe_load(text).items()
+        for label, recipe in yaml.safe_load(own_text("condvln.samples", "recipes.yaml")).items()
     }
 
 

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.catalogue import native_labels, record
@@ -33,7 +33,6 @@ CATEGORIES: Final = {"hallway": "corridor", "office": "home_office"}
 """Gibson's names of room types; other types use our names with underscores."""
 
 Json = dict[str, Any]
-F64 = NDArray[np.float64]
 
 
 def gibson_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:

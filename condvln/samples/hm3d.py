@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 import shapely
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
+from condvln.arrays import F64, I64
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Layout
@@ -44,9 +44,6 @@ UPPER, LOWER = (6, 8), (4, 6)
 BLACK: Final = 0
 TILE: Final = 4
 """Pixels of the square that a texture has for each colour."""
-
-F64 = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -147,7 +144,7 @@ def _painted(layout: Layout, instances: Sequence[_Instance], colours: Sequence[i
 
 
 def _visual(
-    shade: Ints, palette: Ints, textured: bool, name: str
+    shade: I64, palette: I64, textured: bool, name: str
 ) -> trimesh.visual.TextureVisuals | trimesh.visual.ColorVisuals:
     """Return the look of vertices whose colours are entries of the palette."""
     channels = np.stack([palette >> 16, palette >> 8 & 255, palette & 255], axis=-1).astype(np.uint8)

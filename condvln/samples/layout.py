@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+
+from condvln.arrays import F64
 
 __all__ = ["WALL_THICKNESS", "Door", "Furniture", "Layout", "Room", "Yaw"]
 
-F64 = NDArray[np.float64]
 
 WALL_THICKNESS: Final = 0.10
 """Wall thickness in metres. Room polygons meet at the middle of their walls; a wall's surface is half of this away."""

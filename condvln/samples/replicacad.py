@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.catalogue import catalogue, class_ids, record
 from condvln.samples.floor_mesh import navmesh_of
@@ -32,7 +32,6 @@ RADII: Final = {"navmeshes": 0.3, "navmeshes_default": 0.1}
 
 LEXICON: Final = "made_semantic_lexicon"
 
-F64 = NDArray[np.float64]
 Json = dict[str, Any]
 
 

@@ -10,15 +10,14 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.samples.catalogue import catalogue
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout
 from condvln.samples.models import box_placements, glb_of_cubes, part_boxes
 
 __all__ = ["FLOOR_THICKNESS", "box_corners", "floor_boxes", "layout_glb", "piece_corners", "wall_boxes"]
 
-F64 = NDArray[np.float64]
 
 FLOOR_THICKNESS: Final = 0.1
 """Thickness of the floor slab in metres; its upper side is at y = 0. It is half a voxel of Habitat's, which puts the

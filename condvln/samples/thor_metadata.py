@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 import orjson
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.samples.catalogue import catalogue, native_labels, record
 from condvln.samples.floor_mesh import free_floor
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout, Room
@@ -46,7 +46,6 @@ REACHABLE_RADIUS: Final = 0.2
 """Grid spacing of reachable positions, and the radius of AI2-THOR's agent, in metres."""
 
 Json = dict[str, Any]
-F64 = NDArray[np.float64]
 
 
 def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:

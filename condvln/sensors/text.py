@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.labels import vocabulary
 from condvln.scene import Room, Scene
 from condvln.seeding import generator
@@ -90,8 +90,6 @@ LEAST_PIXELS: Final = 6
 """Least number of pixels of an object that are seen before it is named."""
 SAME_PLACE: Final = 1.0
 """Largest distance in metres between two sightings of one label that the memory merges into one object."""
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.follower import Follower, Length
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -28,7 +28,6 @@ from schemas.program import RoomRef
 
 __all__ = ["check_placement"]
 
-F64 = NDArray[np.float64]
 Pair = tuple[Point, Point]
 
 ROUNDING: Final = 1e-6
