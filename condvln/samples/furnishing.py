@@ -7,7 +7,7 @@ is a generator of candidates in random order; the room decides which of them fit
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
@@ -279,22 +279,12 @@ def row_of(rng: random.Random, room: RoomSpace, kinds: list[tuple[Kind, int]]) -
             yield pieces
 
 
-SPOTS: Final[dict[str, Spot]] = {
-    "wall": along_wall,
-    "wall middle": wall_middle,
-    "opposite": opposite,
-    "corner": corner,
-    "centre": centre,
-    "anywhere": anywhere,
-    "beside": beside,
-    "before": before,
-    "facing": facing,
-    "around": around,
-    "hung": hung,
-    "above": above,
-    "on top": on_top,
-    "on middle": on_middle,
-    "on back": on_back,
+SPOTS: Final[Mapping[str, Spot]] = {"wall": along_wall} | {
+    spot.__name__.replace("_", " "): spot
+    for spot in (
+        *(wall_middle, opposite, corner, centre, anywhere, beside, before),
+        *(facing, around, hung, above, on_top, on_middle, on_back),
+    )
 }
 """The kinds of positions that a recipe may name."""
 

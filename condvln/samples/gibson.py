@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import orjson
@@ -25,14 +25,13 @@ from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Furniture, Layout, Room
 from condvln.samples.models import Z_UP
 from condvln.samples.solid import layout_glb
+from schemas.base import Json
 
 __all__ = ["gibson_files", "version_1"]
 
 
 CATEGORIES: Final = {"hallway": "corridor", "office": "home_office"}
 """Gibson's names of room types; other types use our names with underscores."""
-
-Json = dict[str, Any]
 
 
 def gibson_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:

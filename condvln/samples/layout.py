@@ -88,11 +88,6 @@ class Yaw:
         return 0.0, math.sin(half), 0.0, math.cos(half)
 
 
-def _clean(metres: F64) -> F64:
-    """Return coordinates without floating-point noise in the last bits."""
-    return np.asarray(np.round(metres, 6), dtype=np.float64)
-
-
 @dataclass(frozen=True, slots=True)
 class Room:
     """A room: `label` in everyday words, and `polygon`, the (x, z) corners in metres of its outline along the walls'
@@ -178,7 +173,8 @@ class Furniture:
     def aabb(self) -> F64:
         """(2, 3) lower and upper corner of the axis-aligned box in the scene."""
         center, half = np.array(self.center), np.array(self.extent) / 2
-        return _clean(np.stack([center - half, center + half]))
+        # without floating-point noise in the last bits
+        return np.asarray(np.round(np.stack([center - half, center + half]), 6))
 
     @property
     def footprint(self) -> shapely.Polygon:

@@ -359,7 +359,7 @@ def mp3d_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
     yield "mpcat40.tsv", _table([["mpcat40index", "mpcat40"], *([str(i), name] for i, name in enumerate(MPCAT40))])
     for name, layout in layouts.items():
         views = viewpoints_of(layout)
-        ids = [_panorama_id(name, i) for i in range(len(views.places))]
+        ids = [hashlib.sha256(f"{name}/{i}".encode()).hexdigest()[:32] for i in range(len(views.places))]
         segmentations = f"{name}/house_segmentations"
         yield f"{segmentations}/{name}.house", house_text(name, layout, views, ids)
         yield f"{segmentations}/panorama_to_region.txt", _panorama_regions(layout, views, ids)
@@ -376,11 +376,6 @@ def _mapping_row(number: int, name: str, index: int) -> list[str]:
 
 def _table(rows: Sequence[Sequence[str]]) -> bytes:
     return "".join("\t".join(row) + "\n" for row in rows).encode()
-
-
-def _panorama_id(name: str, number: int) -> str:
-    """Return a panorama id of 32 hexadecimal digits, like those of Matterport3D."""
-    return hashlib.sha256(f"{name}/{number}".encode()).hexdigest()[:32]
 
 
 def _panorama_regions(layout: Layout, views: Viewpoints, ids: list[str]) -> bytes:

@@ -37,7 +37,8 @@ class SeenThing:
     distance: float
 
     def __str__(self) -> str:
-        side = "straight ahead" if abs(self.bearing) < 1 else f"{abs(self.bearing):.0f}° to the {_side(self.bearing)}"
+        way = "right" if self.bearing > 0 else "left"
+        side = "straight ahead" if abs(self.bearing) < 1 else f"{abs(self.bearing):.0f}° to the {way}"
         place = "" if self.room is None else f" in the {self.room}"
         return f"{self.label}{place}, {self.distance:.1f} m, {side}"
 
@@ -78,10 +79,6 @@ def noisy_sightings(
             SeenThing(labels[int(which * len(labels))], room, round(bearing, 1), round(0.5 + far * reach / 2, 2))
         )
     return kept
-
-
-def _side(bearing: float) -> str:
-    return "right" if bearing > 0 else "left"
 
 
 TEXT_CAMERA: Final = CameraConfig(width=128, height=128, normalized=False)

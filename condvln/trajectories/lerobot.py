@@ -22,6 +22,7 @@ from condvln.trajectories.cameras import Cameras, is_depth
 from condvln.trajectories.hub import AddScene, Hub, SceneWalks
 from condvln.trajectories.images import writing
 from condvln.trajectories.layouts import new_folder
+from schemas.base import Row
 
 __all__ = ["lerobot"]
 
@@ -37,8 +38,6 @@ SAMPLED: Final = 50
 
 STATE: Final = ("x_metres", "y_metres", "z_metres", "heading_radians")
 _WALK_COLUMNS: Final = ("episode_id", "trajectory", "kind", "source", "scene_id")
-
-Row = Mapping[str, Any]
 
 
 @contextmanager

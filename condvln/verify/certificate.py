@@ -121,14 +121,10 @@ class VerifierRules:
     @classmethod
     def of(cls, config: Config) -> VerifierRules:
         """Return the rules of a configuration."""
+        sections = ("thresholds", "places", "goals", "episodes", "text", "agent")
         return cls(
-            config.thresholds,
-            config.places,
-            config.goals,
-            config.episodes,
-            config.text,
-            config.agent,
-            config.sampling.anchor_size,
-            config.instructions.language,
-            config.instructions.directions,
+            **{name: getattr(config, name) for name in sections},
+            anchor_size=config.sampling.anchor_size,
+            language=config.instructions.language,
+            directions=config.instructions.directions,
         )
