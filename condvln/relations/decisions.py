@@ -78,25 +78,10 @@ DENIED_BY_ALL: Final = frozenset(("higher than", "lower than", *COMPASS))
 """Predicates that are false only if all their bounds for false hold; for the others one is enough."""
 
 UNITS: Final = {
-    "distance": "m",
-    "surface distance": "m",
-    "ground distance": "m",
-    "horizontal": "m",
-    "air": "mm",
-    "gap": "mm",
-    "apart": "mm",
-    "box distance": "mm",
-    "rise": "mm",
-    "top rise": "mm",
-    "off floor": "mm",
-    "room below": "mm",
-    "covered": "share",
-    "inside": "share",
-    "overlap": "share",
-    "elevation": "°",
-    "off centre": "°",
-    "off anchor's edge": "°",
-    "off own edge": "°",
+    **dict.fromkeys(("distance", "surface distance", "ground distance", "horizontal"), "m"),
+    **dict.fromkeys(("air", "gap", "apart", "box distance", "rise", "top rise", "off floor", "room below"), "mm"),
+    **dict.fromkeys(("covered", "inside", "overlap"), "share"),
+    **dict.fromkeys(("elevation", "off centre", "off anchor's edge", "off own edge"), "°"),
 }
 """The units of all quantities. Lengths from `Stacking` are whole millimetres."""
 

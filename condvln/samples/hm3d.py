@@ -23,7 +23,8 @@ from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Layout
 from condvln.samples.models import DECIMALS, ROOT, Z_UP
-from condvln.samples.solid import FACES, box_corners, floor_boxes, layout_glb, piece_corners, wall_boxes
+from condvln.samples.solid import box_corners, floor_boxes, layout_glb, piece_corners, wall_boxes
+from condvln.sources.solids import BOX_FACES
 
 __all__ = ["hm3d_files"]
 
@@ -132,7 +133,7 @@ def _painted(layout: Layout, instances: Sequence[_Instance], colours: Sequence[i
             shade = np.zeros(12, np.int64)
             shade[one.start : one.end] = k
             shades.append(np.tile(shade, len(one.boxes)))
-        faces = (FACES[None] + 8 * np.arange(len(corners))[:, None, None]).reshape(-1)
+        faces = (BOX_FACES[None] + 8 * np.arange(len(corners))[:, None, None]).reshape(-1)
         # Each face has corners of its own, since its neighbours have other colours.
         mesh = trimesh.Trimesh(corners.reshape(-1, 3)[faces], np.arange(len(faces)).reshape(-1, 3), process=False)
         mesh.visual = _visual(np.concatenate(shades).repeat(3), palette, textured, f"chunk{region:03d}")

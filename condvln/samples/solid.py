@@ -93,16 +93,6 @@ def _box(axis: int, at: float, along: Span, up: Span) -> list[list[float]]:
 CORNERS: Final = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """For each corner of a box, whether x, y and z are those of the upper corner."""
 
-FACES: Final = np.array(
-    [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5],
-        [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6],
-        [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ],
-    dtype=np.int32,
-)  # fmt: skip
-"""Twelve triangles over `CORNERS`, counter-clockwise seen from outside."""
-
 
 def piece_corners(piece: Furniture) -> F64:
     """Return the corners (n, 8, 3) of the parts of a placed piece."""
