@@ -14,7 +14,7 @@ from condvln.arrays import F64
 from condvln.scene import OrientedBox, SceneObject
 from schemas.config.constants import UPRIGHT_COSINE
 
-__all__ = ["Footprint", "Footprints"]
+__all__ = ["Footprint", "Footprints", "Obstacles"]
 
 
 ROUNDING: Final = 1e-6
@@ -113,6 +113,10 @@ class Footprint:
             away = corner + offset * np.array([np.cos(end), np.sin(end)])
             pieces.append(away + np.arange(count)[:, None] / count * side)
         return np.asarray(self.center + np.concatenate(pieces) @ self.axes, dtype=np.float64)
+
+
+Obstacles = Sequence[tuple[SceneObject, Footprint]]
+"""Furniture that the navmesh ignores, each thing with its footprint."""
 
 
 class Footprints:

@@ -19,7 +19,7 @@ import numpy as np
 
 from condvln.arrays import F64, Bools
 from condvln.episodes.floor import floor_points
-from condvln.episodes.footprint import Footprint
+from condvln.episodes.footprint import Obstacles
 from condvln.episodes.goals import wide_islands
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
@@ -29,7 +29,7 @@ from condvln.kept import kept
 from condvln.labels import vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import EDGE, Recognition, SightTarget, View, eyes_at, in_view, visible_extent
-from condvln.scene import Scene, SceneObject
+from condvln.scene import Scene
 from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import EYE_SPACING, LEVEL_CAMERA, PREFIX_SAMPLES, PREFIX_STRAY
@@ -89,7 +89,7 @@ class Observer:
         pathfinder: PathfinderProtocol,
         places: PlacesConfig,
         rules: EpisodeConfig,
-        obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+        obstacles: Obstacles = (),
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self._scene, self._view, self._pathfinder = scene, view, pathfinder

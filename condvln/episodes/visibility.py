@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from condvln.arrays import F64, Bools
 from condvln.episodes.floor import standing_points
-from condvln.episodes.footprint import Footprint
+from condvln.episodes.footprint import Obstacles
 from condvln.episodes.view import SceneView
 from condvln.labels import vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
@@ -67,7 +67,7 @@ def scene_visibility(
     islands: Sequence[int],
     eye_height: float,
     rule: Recognition,
-    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    obstacles: Obstacles = (),
 ) -> list[Visibility]:
     """Return the visibility of every object that is not part of the building, sorted by id.
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from condvln.arrays import F64
-from condvln.export.splits import observability_class, route_class, words_class
+from condvln.export.splits import SHAPE_AXES, observability_class, route_class, words_class
 from condvln.formats.json_entries import entries, parsed
 from condvln.manifest import read_manifest
 from condvln.navigation.points import densify
@@ -23,19 +23,7 @@ from schemas.vlnce import GroundTruth
 __all__ = ["AXES", "LeafTask", "LookingTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
 
 
-AXES: Final = (
-    "source",
-    "scene",
-    "category",
-    "depth",
-    "chain",
-    "composition",
-    "observability",
-    "moves",
-    "leads",
-    "route",
-    "words",
-)
+AXES: Final = ("source", "scene", *SHAPE_AXES)
 """Columns by which scores can be grouped."""
 
 

@@ -13,7 +13,7 @@ import orjson
 import yaml
 
 from condvln.export.report import ExportReport
-from condvln.export.splits import SPLITS
+from condvln.export.splits import SHAPE_AXES, SPLITS
 from condvln.own_tables import own_rows, own_text
 from condvln.sources.family import FAMILIES, composed_datasets
 from schemas.program import CATEGORIES
@@ -24,19 +24,7 @@ _NAME: Final = "CondVLN"
 
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _LARGEST: Final = "1M<n<10M"
-_AXES: Final = (
-    "category",
-    "depth",
-    "chain",
-    "composition",
-    "observability",
-    "moves",
-    "leads",
-    "route",
-    "words",
-    "success_distance",
-    "source",
-)
+_AXES: Final = (*SHAPE_AXES, "success_distance", "source")
 
 
 def dataset_card(report: ExportReport) -> str:

@@ -25,6 +25,7 @@ from schemas.errors import ConfigError
 __all__ = [
     "GROUPS",
     "ROUTE_BOUNDS",
+    "SHAPE_AXES",
     "SPLITS",
     "WORD_BOUNDS",
     "Group",
@@ -36,6 +37,11 @@ __all__ = [
     "scene_group",
     "words_class",
 ]
+
+SHAPE_AXES: Final = (
+    *("category", "depth", "chain", "composition", "observability", "moves", "leads", "route", "words"),
+)
+"""What episodes are counted and scored by, besides their scene."""
 
 ROUTE_BOUNDS: Final = (5, 10, 20)
 """Route lengths in metres at which the next class begins; single rooms seldom reach the second."""

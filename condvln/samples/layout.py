@@ -75,6 +75,11 @@ class Yaw:
         """Convert a point (x, z) from a piece's own frame to the scene's frame."""
         return self.cosine * x + self.sine * z, -self.sine * x + self.cosine * z
 
+    def rectangle(self, size: tuple[float, float, float]) -> list[tuple[float, float]]:
+        """Return the corners on the ground of a turned box of this size around the origin."""
+        half_x, half_z = size[0] / 2, size[2] / 2
+        return [self.apply(sx * half_x, sz * half_z) for sx, sz in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+
     @property
     def matrix(self) -> F64:
         """The (3, 3) rotation matrix."""
@@ -179,11 +184,7 @@ class Furniture:
     @property
     def footprint(self) -> shapely.Polygon:
         """The rotated rectangle over (x, z)."""
-        half_x, half_z = self.size[0] / 2, self.size[2] / 2
-        corners = [
-            self.yaw.apply(x, z)
-            for x, z in ((-half_x, -half_z), (half_x, -half_z), (half_x, half_z), (-half_x, half_z))
-        ]
+        corners = self.yaw.rectangle(self.size)
         return shapely.Polygon([(round(self.center[0] + x, 6), round(self.center[2] + z, 6)) for x, z in corners])
 
 

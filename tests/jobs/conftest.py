@@ -13,7 +13,7 @@ from rich.console import Console
 
 from condvln.samples import make_samples
 from factory.store import open_store
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import CACHE_VARIABLE
@@ -93,7 +93,7 @@ def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFac
     """An export of the made dataset, one a module."""
     config, _ = made_run
     out = tmp_path_factory.mktemp("export")
-    export_snapshot_of(config.model_copy(update={"export": out}))
+    run_export(config.model_copy(update={"export": out}))
     return out
 
 

@@ -13,7 +13,7 @@ import orjson
 import pytest
 
 from condvln.export.contents import INDEX, ORIGIN
-from jobs.export import export_snapshot_of, run_export
+from jobs.export import run_export
 from jobs.export_origin import LOST_NAVMESH, Origin, SceneOrigin, refuse_losses
 from jobs.generate import run_generate
 from jobs.rebuild import run_rebuild
@@ -194,14 +194,14 @@ def test_a_ref_put_back_to_less_is_refused_and_a_removed_scene_is_not(
     other = configured(less, export=None, splits=SplitsConfig(bias="off"))
     run_generate(other, inline=True)
     with pytest.raises(SmallerExportError, match="in their source and not in the snapshot"):
-        export_snapshot_of(config)
+        run_export(config)
     assert files(out) == before
     report = run_export(config, allow_shrink=True)
     assert any(line.startswith("allowed by --allow-shrink: an export of the snapshot") for line in report.lines)
     assert sum(report.document["episodes"].values()) < sum(json.loads(before[INDEX])["episodes"].values())
     # back to all of it: the same bytes, but for the history
     ref.write_bytes(full)
-    export_snapshot_of(config)
+    run_export(config)
     after = files(out)
     assert {name for name in {*before, *after} if before.get(name) != after.get(name)} <= {"CHANGELOG.md"}
     drop_scene(dataset)
@@ -217,7 +217,7 @@ def test_a_refused_export_ends_a_run_with_3_every_time(
 ) -> None:
     shutil.copytree(made_run[0].store, tmp_path / "store")
     config = configured(made_dataset, export=tmp_path / "out", splits=SplitsConfig(bias="off"))
-    export_snapshot_of(config)
+    run_export(config)
     index = tmp_path / "out" / INDEX
     document = json.loads(index.read_text())
     document["episodes"]["train"] += 100
@@ -237,7 +237,7 @@ def test_empty_splits_are_said_with_their_reason(made_run: tuple[Config, Report]
     config = made_run[0].model_copy(
         update={"export": tmp_path / "out", "splits": SplitsConfig(bias="off", per_cell=2, scenes={"test": ("*/*",)})}
     )
-    report = export_snapshot_of(config)
+    report = run_export(config)
     assert set(report.document["empty_splits"]) == {"train", "val_seen", "val_unseen"}
     for split in ("train", "val_unseen"):
         why = f"none of the 2 scenes with episodes belongs to it; splits.scenes.{split} names some"
