@@ -8,6 +8,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from jobs.verify import verify_export
 from schemas.config import Config
 from schemas.evaluation import ManifestEpisode
 from tests.jobs.conftest import made_scans
+from tests.once import made_once
 
 Document = dict[str, Any]
 LEAST = 0.99
@@ -37,7 +39,7 @@ def alone(scans_alone: Config) -> Config:
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Config:
-    return made_scans(tmp_path_factory.mktemp("both"), meshes=True)
+    return made_once(tmp_path_factory, "scans with meshes", partial(made_scans, meshes=True))
 
 
 @pytest.fixture

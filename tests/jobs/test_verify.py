@@ -24,14 +24,19 @@ from jobs.report import Report
 from jobs.verify import verify_export
 from schemas.config import Config
 from tests.jobs.test_full_disk import files_of_at_most
+from tests.once import made_once
 
 
 @pytest.fixture(scope="module")
 def made(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Config:
     """The made configuration with an export; read only."""
-    config = made_run[0].model_copy(update={"export": tmp_path_factory.mktemp("exported") / "out"})
-    assert run_export(config).exit_code == 0
-    return config
+
+    def make(folder: Path) -> Config:
+        config = made_run[0].model_copy(update={"export": folder / "out"})
+        assert run_export(config).exit_code == 0
+        return config
+
+    return made_once(tmp_path_factory, "verified", make)
 
 
 @pytest.fixture
