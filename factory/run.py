@@ -219,10 +219,10 @@ class _Run:
             planner = Planner(self.pipeline, self.commits, self.index, self.shared, self.quarantined, stages=until)
             writer = IndexWriter(self.pipeline)
             work = [*planner.work(units)]
-            if planner.seconds_behind:
+            if planner.seconds_behind >= 1:
                 self.progress.note(
-                    f"a first pass builds {', '.join(a.name for a in due)}; after it, about "
-                    f"{planner.seconds_behind:.0f} CPU s of work remain"
+                    f"the first of two passes counts all scenes, for {', '.join(a.name for a in due)}; the second has "
+                    f"about {planner.seconds_behind:.0f} CPU s of work"
                 )
             for receipt in self._work(work, until, f"first pass, for {', '.join(a.name for a in due)}"):
                 writer.add(receipt)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 from urllib.parse import quote
 
 import numpy as np
@@ -38,6 +38,14 @@ SHOWN: Final = 5
 
 MAIN_TABLES: Final = ("main", "sweep", "twin_main")
 """Tables that are printed by default, where they exist; ``--json`` and ``--csv`` have all."""
+FIRST: Final = ("success_distance", "success", "spl_look", "bsa_all", "csr_all", "justified", "episodes")
+"""Measures of these tables that are printed by default; a table that is asked for has all."""
+LEGEND: Final = (
+    "In %, SR: walks that stop at the goal; SPL-look: SR weighted by the looking path's length ÷ the walk's; "
+    "BSA-all: subgoals reached in order; CSR-all: walks that reach all of them and succeed; justified: walks that "
+    "succeed and saw what decides the conditions. condvln evaluate --all prints all measures; docs/metrics.md has "
+    "their definitions."
+)
 LEAST_COLUMNS: Final = 4
 """Columns of a table that a narrow terminal shows, however many digits it breaks."""
 ALL_TABLES: Final = "all"
@@ -88,24 +96,17 @@ class HandedIn:
     @property
     def faults(self) -> list[str]:
         """What a strict evaluation refuses, a sentence each."""
-        found = []
-        if self.missing:
-            found.append(
-                f"{len(self.missing)} of {self.episodes} episodes have no prediction, or an empty path, and count as "
-                f"failures: {_shown(self.missing)}"
-            )
-        if self.gaps:
-            found.append(
-                f"{len(self.gaps)} of {self.episodes} episodes have steps that no single action can make (too long, "
-                f"through a wall, or between viewpoints without a common edge), {sum(self.gaps.values())} in all; "
-                f"TL and SPL measure them along the shortest way: {_shown(tuple(self.gaps))}"
-            )
-        if self.off_navmesh:
-            found.append(
-                f"{len(self.off_navmesh)} of {self.episodes} episodes have poses more than {OFF_NAVMESH:g} m off the "
-                f"navmesh, {sum(self.off_navmesh.values())} in all: {_shown(tuple(self.off_navmesh))}"
-            )
-        return found
+        gaps, off = sum(self.gaps.values()), sum(self.off_navmesh.values())
+        told: tuple[tuple[Collection[str], str], ...] = (
+            (self.missing, "have no prediction, or an empty path, and count as failures"),
+            (
+                self.gaps,
+                "have steps that no single action can make (too long, through a wall, or between viewpoints without a "
+                f"common edge), {gaps} in all; TL and SPL measure them along the shortest way",
+            ),
+            (self.off_navmesh, f"have poses more than {OFF_NAVMESH:g} m off the navmesh, {off} in all"),
+        )
+        return [f"{len(ids)} of {self.episodes} episodes {what}: {_shown(tuple(ids))}" for ids, what in told if ids]
 
     @property
     def warnings(self) -> list[str]:
@@ -148,31 +149,24 @@ def handed_in(path: Path, evaluation: Evaluation) -> HandedIn:
     )
 
 
+@dataclass
 class EvaluationReport:
     """The tables of one evaluation, and the episodes that each file of predictions lacks. The library rich can print
     this report on a terminal.
     """
 
-    exit_code = 0
-
-    def __init__(
-        self,
-        evaluations: Sequence[Evaluation],
-        tables: Sequence[Table],
-        handed_in: Sequence[HandedIn] = (),
-        asked: Sequence[str] = (),
-        twins: Sequence[Evaluation] = (),
-    ) -> None:
-        self.evaluations = evaluations
-        self.twins = twins
-        self.tables = tables
-        self.handed_in = handed_in
-        self._asked = tuple(asked) or tuple(name for name in MAIN_TABLES if name in {t.name for t in tables})
+    evaluations: Sequence[Evaluation]
+    tables: Sequence[Table]
+    handed_in: Sequence[HandedIn] = ()
+    asked: Sequence[str] = ()
+    twins: Sequence[Evaluation] = ()
+    exit_code: ClassVar[int] = 0
 
     @property
     def shown(self) -> list[Table]:
         """Return the tables to print: those requested by name, else the main ones."""
-        return [table for table in self.tables if self._asked == (ALL_TABLES,) or table.name in self._asked]
+        asked = self.asked or MAIN_TABLES
+        return [table for table in self.tables if (*asked,) == (ALL_TABLES,) or table.name in asked]
 
     @property
     def warnings(self) -> list[str]:
@@ -232,10 +226,24 @@ class EvaluationReport:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield from (Text(f"warning: {warning}") for warning in self.warnings)
         for table in self.shown:
-            yield from _fitting(table, console, options)
+            yield from _fitting(table if self.asked else _first(table), console, options)
+        if not self.asked:
+            yield Text(LEGEND)
         others = [table.name for table in self.tables if table not in self.shown]
         if others:
             yield Text(f"more tables, with --table NAME or --all: {', '.join(others)}")
+
+
+def _first(table: Table) -> Table:
+    """Return a table with its leading columns and the measures of FIRST alone."""
+    kept = [k for k, column in enumerate(table.columns) if column.kind == "text" or column.key in FIRST]
+    return replace(_part(table, kept), note="")
+
+
+def _part(table: Table, kept: Sequence[int]) -> Table:
+    """Return some columns of a table."""
+    rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
+    return replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows)
 
 
 def _fitting(table: Table, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -246,8 +254,7 @@ def _fitting(table: Table, console: Console, options: ConsoleOptions) -> RenderR
     left_out: list[str] = []
     unbounded = options.update_width(10 * PIPE_WIDTH)
     while True:
-        rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
-        shown = as_rich(replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows))
+        shown = as_rich(_part(table, kept))
         if len(kept) <= LEAST_COLUMNS or Measurement.get(console, unbounded, shown).maximum <= options.max_width:
             break
         left_out.insert(0, table.columns[kept.pop(-2)].heading)

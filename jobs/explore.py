@@ -120,9 +120,7 @@ def _add(
     folder: NavmeshFolder,
     asked: Exploration,
 ) -> None:
-    documents = [
-        episode_document(row, facts=scene.facts, certificate=proofs.of(row)) for row in scene.rows
-    ]  # fmt: skip
+    documents = [episode_document(row, facts=scene.facts, certificate=proofs.of(row)) for row in scene.rows]
     walks = agents.walks_of(scene.rows, folder)
     if asked.config is not None and documents and asked.views:
         shown = sorted(documents, key=lambda one: one["id"] not in walks)[: asked.views]  # those of agents first

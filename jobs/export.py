@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -30,6 +31,7 @@ from condvln.sources.family import FAMILIES
 from factory.snapshot import Snapshot, read_manifest, read_ref, ref_path
 from jobs.bias import add_bias, priors_behind
 from jobs.export_origin import Origin, refuse_losses, remember_data
+from jobs.funnel import listed
 from jobs.oracle import text_of_moves
 from jobs.pipeline import built_navmeshes, listed_units
 from jobs.report import Report, Section
@@ -38,7 +40,7 @@ from jobs.workspace import graph_folders, published, snapshot_folder
 from schemas.config import Config, WordingConfig
 from schemas.errors import CondVLNError, CorruptShardError, SmallerExportError, StoreError
 from schemas.evaluation import ManifestEpisode
-from schemas.program import Program
+from schemas.program import CATEGORIES, Program
 
 __all__ = ["alone_in_export", "card_pictures", "graphs_of", "run_export", "write_export"]
 
@@ -114,12 +116,13 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     )
     rows = [(split, len(done.scenes[split]), count) for split, count in done.episodes.items()]
     lines = [f"export of snapshot {snapshot.snapshot_id} in {out}", *guard.said, *_left_out(done)]
-    sections = [Section("Splits", ("split", "scenes", "episodes"), [*rows])]
-    if done.shortfalls:
-        short = [(c.split, c.source, c.category, c.gold_leaf, c.wanted, c.selected) for c in done.shortfalls]
-        lines.append(f"{len(short)} cells are short, by {sum(c.shortfall for c in done.shortfalls)} episodes together")
-        columns = ("split", "source", "category", "gold leaf", "wanted", "selected")
-        sections.append(Section("Cells that are short", columns, [*short]))
+    categories = _categories(done, snapshot)
+    lines += _lost_categories(categories)
+    columns = ("category", "wanted (without groups)", "placed", "kept", "left out")
+    sections = [Section("Splits", ("split", "scenes", "episodes"), [*rows]), Section("Categories", columns, categories)]
+    if short := done.shortfalls:
+        missing = sum(cell.shortfall for cell in short)
+        lines.append(f"{len(short)} cells are short, by {missing} episodes together: the export's README.md lists them")
     report = Report(done.document(), lines, sections)
     if guard.said:
         report.document["smaller"] = guard.said
@@ -147,12 +150,40 @@ def _check_rows(snapshot: Snapshot, report: ExportReport) -> None:
         )
 
 
+def _categories(done: ExportReport, snapshot: Snapshot) -> list[Sequence[Any]]:
+    """Return a row for each category: its name, how many episodes were wanted (of no category for counterfactual
+    groups), placed in scenes and kept, and why the others were left out.
+    """
+    sums = snapshot.table("funnel", ["category", "wanted"]).group_by("category").aggregate([("wanted", "sum")])
+    wanted = Counter({row["category"]: row["wanted_sum"] for row in sums.to_pylist()})
+    kept = sum((Counter(shape.get("category", {})) for shape in done.shapes.values()), Counter[str]())
+    lost = {name: Counter(done.lost.get(name, {})) for name in CATEGORIES}
+    placed = {name: kept[name] + lost[name].total() for name in CATEGORIES}
+    names = (name for name in CATEGORIES if wanted[name] or placed[name])
+    return [(name, wanted[name], placed[name], kept[name], listed(lost[name])) for name in names]
+
+
+def _lost_categories(categories: Sequence[Sequence[Any]]) -> list[str]:
+    """Return a warning for each category of which nothing is kept: why, and what can be done."""
+    why = (
+        "left out: {}. A split keeps a category of a source only with an episode of every gold leaf: use more scenes, "
+        "a larger instructions.per_category, or fewer splits (splits.fractions)"
+    )
+    none = "condvln status CONFIG says what rejected the candidates; use more or larger scenes"
+    return [
+        f"WARNING: no episode of {name} is in a split: {wanted} wanted, {placed} placed, 0 kept; "
+        + (why.format(reasons) if placed else none)
+        for name, wanted, placed, kept, reasons in categories
+        if not kept
+    ]
+
+
 def _left_out(done: ExportReport) -> list[str]:
     """Return lines about splits that stayed empty or are lopsided, and about episodes that are in no split, with the
     reasons.
     """
     chosen, left = sum(done.episodes.values()), sum(done.left_out.values())
-    lines = [f"split {split} is EMPTY: {why}" for split, why in done.empty_splits.items()]
+    lines = [f"note: split {split} has no episodes: {why}" for split, why in done.empty_splits.items()]
     lines += [
         f"WARNING: split {split} is lopsided: {what}; splits.scenes gives it more scenes"
         for split, what in done.lopsided.items()

@@ -21,7 +21,7 @@ import pyarrow as pa
 from factory.snapshot import Snapshot
 from jobs.report import Report, Section
 
-__all__ = ["Flow", "Funnel", "add_funnel", "funnel_of"]
+__all__ = ["Flow", "Funnel", "add_funnel", "funnel_of", "listed"]
 
 SHOWN_REASONS: Final = 3
 """Number of reasons named beside a row on a terminal; ``--json`` has all of them."""
@@ -96,7 +96,7 @@ class Flow:
         told = f"{reason} {count:,}"
         if reason != TOO_FEW or not self.undrawn_of_short:
             return told
-        return f"{told} ({_listed(self.undrawn_of_short)})"
+        return f"{told} ({listed(self.undrawn_of_short)})"
 
 
 @dataclass
@@ -210,7 +210,8 @@ def _explained(flow: Flow) -> str:
     return f"{reason}: {meanings[reason]} ({count:,} of {sum(counts.values()):,} {what})"
 
 
-def _listed(counts: Counter[str]) -> str:
+def listed(counts: Counter[str]) -> str:
+    """Return the most frequent reasons with their counts, in one line."""
     return ", ".join(f"{reason} {count:,}" for reason, count in _ranked(counts)[:SHOWN_REASONS])
 
 

@@ -25,10 +25,8 @@ LOGS: Final = "logs"
 LOG_STEPS: Final = 20
 """Approximate number of lines that a phase of a run writes to a log."""
 
-
-PRIOR_SECONDS: Final = 5.0
-"""Weight of the model's own estimate, in CPU seconds of done work, so that the first receipt, which pays for imports
-and caches, does not decide alone."""
+ENOUGH: Final = 0.1
+"""Share of the work still to do that must be measured before a time is said: a guess from less is far off."""
 
 
 class RunProgress(RunListener):
@@ -66,9 +64,9 @@ class RunProgress(RunListener):
         self._task = self._bar.add_task(name, total=total, last="", left=self._left())
         if not self._console.is_terminal and total:
             said = f"{name}: {total} to do"
-            if seconds > 0:
+            if seconds >= 1:
                 shared = f", shared by {workers} workers" if workers > 1 else ""
-                said += f", about {seconds:.0f} CPU s{shared}: {readable(self.seconds_left)} on an idle machine"
+                said += f", about {seconds:.0f} CPU s{shared}"
             self._console.print(said, highlight=False)
 
     def unit(self, receipt: Receipt) -> None:
@@ -79,8 +77,10 @@ class RunProgress(RunListener):
             said = "for the same reason as one before" if cause in self._causes else cause
             self._causes.add(cause)
             self._console.print(f"quarantined {receipt.unit_id}: {said}", highlight=False, markup=False)
-        self._reached += receipt.expected
-        self._took += receipt.seconds
+        self._expected -= receipt.expected
+        if self._done >= self._workers:  # the first unit of each worker pays for imports and caches
+            self._reached += receipt.expected
+            self._took += receipt.seconds
         self._advance(receipt.unit_id)
 
     def step(self) -> None:
@@ -95,18 +95,14 @@ class RunProgress(RunListener):
         """Show that a unit is taking unusually long."""
         self._console.print(unit.message, highlight=False, markup=False)
 
-    @property
-    def seconds_left(self) -> float:
-        """Return the expected wall-clock seconds left in a phase: the expected CPU seconds left, shared by the workers,
-        times the wall-clock seconds that units took per CPU second expected of them. (Other processes may share the
-        machine.)
-        """
-        pace = (self._took + PRIOR_SECONDS) / (self._reached + PRIOR_SECONDS)
-        return max(self._expected - self._reached, 0.0) * pace / max(self._workers, 1)
-
     def _left(self) -> str:
-        seconds = self.seconds_left
-        return f"{readable(seconds)} left" if seconds >= 1 and self._done < self._total else ""
+        """Return the time left in this phase by the clock, at the pace of the units that are done; nothing before
+        enough of them are. (Other processes may share the machine.)
+        """
+        if self._reached <= 0 or self._reached < ENOUGH * self._expected:
+            return ""
+        seconds = self._expected * self._took / self._reached / max(self._workers, 1)
+        return f"{readable(seconds)} left of this pass" if seconds >= 1 and self._done < self._total else ""
 
     def _advance(self, last: str) -> None:
         self._done += 1

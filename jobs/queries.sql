@@ -1,8 +1,18 @@
 -- Views over the published tables, and named queries for the most frequent questions. `condvln query TARGET --list` prints
--- them. A block begins with its kind and name, and of a view the tables that it reads; the second line says what its rows are.
+-- them. A block begins with its kind and name, and of a view the tables that it reads; the second line says what its rows
+-- are, those after it describe the columns of a view that its first table does not have.
 
 -- view: leaves of episodes, instructions
 -- one row for each leaf of each episode, gold or not
+-- leaf: number of the leaf within its instruction, from 0
+-- gold: the truths of the conditions lead to this leaf
+-- object_id: object that is the goal of the leaf, in the table objects
+-- label: label of the goal
+-- room: label of the room of the goal
+-- n_goals: number of goal points around the goal, at any of which an agent may stop
+-- n_subgoals: number of stops in order, of which the goal is not one
+-- geodesic_distance: metres on the navmesh from the start straight to the goal
+-- route_length: metres on the navmesh from the start by all stops to the goal
 SELECT e.source, e.scene_id, e.episode_id, e.instruction_id, e.category,
        leaf.leaf, leaf.leaf = e.gold_leaf AS gold, leaf.object_id,
        i.leaves[leaf.leaf + 1].moves[-1].label AS label,
@@ -14,6 +24,14 @@ FROM episodes AS e JOIN instructions AS i USING (source, scene_id, instruction_i
 
 -- view: conditions of instructions
 -- one row for each condition of each instruction
+-- condition: number of the condition within its instruction, from 0
+-- label: label that the condition asks for
+-- room: label of the room in which it asks for it
+-- predicate: relation that it asks for, null where it asks only whether the label is there
+-- anchor: label of the object that the relation is to
+-- other_anchor: label of the second such object, of the predicate between
+-- truth: the condition holds in the scene
+-- n_witnesses: number of objects that make it true, 0 where it is false
 SELECT source, scene_id, instruction_id, category, position - 1 AS condition,
        conditions[position].label AS label, conditions[position].room.label AS room,
        conditions[position].qualifier.predicate AS predicate,
@@ -24,6 +42,9 @@ FROM instructions, unnest(range(1, len(conditions) + 1)) AS unnested(position);
 
 -- view: labelled_relations of relations, objects, rooms
 -- relations with the labels of both objects and of their room
+-- room_label: label of the room
+-- subject_label: label of the object that the relation is of
+-- target_label: label of the object that the relation is to
 SELECT r.*, room.label AS room_label, s.label AS subject_label, t.label AS target_label
 FROM relations AS r
 JOIN rooms AS room USING (source, scene_id, room_id)
@@ -53,8 +74,8 @@ SELECT source, category, any_value(n_leaves) AS leaves, gold_leaf, count(*) AS e
 FROM episodes GROUP BY source, category, gold_leaf ORDER BY source, category, gold_leaf;
 
 -- query: axes
--- episodes by composition, observability and number of moves
-SELECT composition, observability, moves, count(*) AS episodes
+-- episodes by composition, observability (O0f: all evidence in the first view) and number of moves
+SELECT composition, if(observability = 'O0' AND evidence_in_view, 'O0f', observability) AS observability, moves, count(*) AS episodes
 FROM episodes GROUP BY ALL ORDER BY ALL;
 
 -- query: gold-labels

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from condvln.episodes.picture import draw_episode
-from condvln.export.splits import observability_class
+from condvln.export.splits import OBSERVED, observability_class
 from condvln.instructions.programs import program_tree, programs_from_table
 from condvln.manifest import ManifestLine, manifest_lines, manifest_paths, published_row
 from condvln.navigation.navmesh_file import read_navmesh
@@ -171,10 +171,9 @@ def _programs(snapshot: Snapshot, rows: list[dict[str, Any]]) -> dict[tuple[str,
 
 
 def _seen(row: dict[str, Any]) -> str:
-    """Return the observability class of an episode (O0f, O0, O1 or O2); "not told" for a row without observability."""
-    if row.get("observability") is None:
-        return "not told"
-    return str(observability_class(row["observability"], row["evidence_in_view"]))
+    """Return the observability class of an episode with what it means; "not told" for a row without observability."""
+    found = observability_class(row.get("observability"), row.get("evidence_in_view"))
+    return "not told" if found is None else f"{found} ({OBSERVED[found]})"
 
 
 def episode_lines(row: dict[str, Any], tree: str) -> list[str]:

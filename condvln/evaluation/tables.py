@@ -20,6 +20,7 @@ from condvln.evaluation.aggregate import (
 from condvln.evaluation.evaluate import AXES, Evaluation
 from condvln.evaluation.metrics import Better, Kind, Shown, keys_of, metrics_of
 from condvln.evaluation.task import Task
+from condvln.export.splits import OBSERVED
 
 __all__ = [
     "BRANCH_COLUMNS",
@@ -109,7 +110,8 @@ def main_table(evaluations: Sequence[Evaluation]) -> Table:
 
 def axis_table(evaluations: Sequence[Evaluation], *axes: str, columns: Sequence[Column] = MAIN_COLUMNS) -> Table:
     """Return a table of the results by one or several of :data:`~condvln.evaluation.evaluate.AXES`."""
-    return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns)
+    note = "; ".join(f"{name}: {what}" for name, what in OBSERVED.items()) if "observability" in axes else ""
+    return _grouped("by_" + "_".join(axes), f"Results by {' and '.join(axes)}", evaluations, axes, columns, note=note)
 
 
 def branch_table(evaluations: Sequence[Evaluation]) -> Table:

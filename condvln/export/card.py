@@ -13,7 +13,7 @@ import orjson
 import yaml
 
 from condvln.export.report import ExportReport
-from condvln.export.splits import SHAPE_AXES, SPLITS
+from condvln.export.splits import OBSERVED, SHAPE_AXES, SPLITS
 from condvln.own_tables import own_rows, own_text
 from condvln.sources.family import FAMILIES, composed_datasets
 from schemas.program import CATEGORIES
@@ -109,6 +109,7 @@ def _counts(report: ExportReport) -> str:
         for value in values:
             counts = [report.shapes.get(split, {}).get(axis, {}).get(value, 0) for split in splits]
             lines.append(_row([f"{axis.replace('_', ' ')}: {value}", *(f"{count:,}" for count in counts)]))
+    lines += ["", f"Observability: {'; '.join(f'{name}: {what}' for name, what in OBSERVED.items())}."]
     if report.empty_splits:
         lines += ["", *(f"* `{split}` is empty: {why}." for split, why in report.empty_splits.items())]
     if report.r2r_episodes:

@@ -62,6 +62,8 @@ class ExportReport:
     cells: list[SelectionCell] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
     """Number of the pool's episodes that are in no split, by reason."""
+    lost: dict[str, dict[str, int]] = field(default_factory=dict)
+    """The same by category and reason."""
     empty_splits: dict[str, str] = field(default_factory=dict)
     """Requested splits without episodes, with the reason."""
     truth_imbalance: dict[str, float] = field(default_factory=dict)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -148,7 +148,8 @@ class Selection:
 
     split: npt.NDArray[np.int8]
     cells: list[SelectionCell] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
+    lost: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    """Number of episodes that are in no split, by category and reason."""
     truth_imbalance: dict[str, float] = field(default_factory=dict)
     """Imbalance by source, before and after: Σ |true − false| ÷ Σ (true + false) over label × room type × kind of
     condition.
@@ -156,18 +157,29 @@ class Selection:
     empty: dict[Split, str] = field(default_factory=dict)
     """Requested splits without episodes, with the reason."""
 
+    @property
+    def left_out(self) -> Counter[str]:
+        """Number of episodes that are in no split, by reason."""
+        return sum(self.lost.values(), Counter())
+
+    def lose(self, pool: ExportPool, rows: npt.NDArray[Any], reason: str) -> None:
+        """Count episodes that are in no split; ``rows`` are their places in the pool, or a mask."""
+        for category, count in enumerate(np.bincount(pool.category[rows]).tolist()):
+            if count:
+                self.lost[CATEGORIES[category]][reason] += count
+
 
 def select(pool: ExportPool, config: SplitsConfig) -> Selection:
     """Select episodes and assign splits. Equal pools and configurations give equal results, whatever the order of the
     names in the pool.
     """
     selection = Selection(np.full(len(pool), OUT, dtype=np.int8))
-    placed = _place(pool, config, selection.left_out)
+    placed = _place(pool, config, selection)
     if config.statements == "even":
         rows = np.flatnonzero(placed != OUT)
         uneven = rows[~raked(pool, rows, config.seed)]
         placed[uneven] = OUT
-        selection.left_out[_UNEVEN] += len(uneven)
+        selection.lose(pool, uneven, _UNEVEN)
     order = _seeded_order(pool, config.seed)
     for split_code, split in enumerate(SPLITS):
         members = order[placed[order] == split_code]
@@ -180,8 +192,7 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
             }
             for source, block in blocks.items():
                 blocks[source] = _with_fitting_groups(pool, block)
-                if len(blocks[source]) < len(block):
-                    selection.left_out[_NO_ROOM] += len(block) - len(blocks[source])
+                selection.lose(pool, np.setdiff1d(block, blocks[source]), _NO_ROOM)
             quotas = _quotas(pool, blocks, config.per_cell)
             wanted = _wanted(pool, quotas, config.per_cell)
             for source, block in blocks.items():
@@ -189,7 +200,7 @@ def select(pool: ExportPool, config: SplitsConfig) -> Selection:
                 if len(block):
                     taken = _Picker(pool, block, quotas[source], balances[source]).pick()
                     selection.split[taken] = split_code
-                    selection.left_out["beyond the balance"] += len(block) - len(taken)
+                    selection.lose(pool, np.setdiff1d(block, taken), "beyond the balance")
                 if len(block) or wanted[source]:
                     selection.cells += _cells(pool, split, source, name, block, taken, wanted[source])
     for source, label in enumerate(pool.sources):
@@ -213,7 +224,11 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
             continue
         available = sum(cell.available for cell in selection.cells if cell.split == split)
         if not groups[group]:
-            why = f"none of the {len(pool.scenes)} scenes with episodes belongs to it; splits.scenes.{group} names some"
+            why = (
+                f"a scene is in one split only, and all scenes with episodes ({len(pool.scenes)}) are in "
+                f"{' and '.join(sorted(groups))}; splits.scenes: {{{group}: [{'/'.join(min(pool.scenes))}]}} moves "
+                "this one here, and more scenes fill more splits"
+            )
         elif not available and split == "val_seen":
             why = f"it takes {config.val_seen_share:g} of the train scenes' episodes by hash, and none falls in it"
         elif not available:
@@ -227,9 +242,9 @@ def _empty_splits(pool: ExportPool, config: SplitsConfig, selection: Selection) 
     return found
 
 
-def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> npt.NDArray[np.int8]:
+def _place(pool: ExportPool, config: SplitsConfig, selection: Selection) -> npt.NDArray[np.int8]:
     """Return the split of each episode, such that no unit and no program is in two splits. All episodes that are left
-    out get `OUT` and are counted by reason in `left_out`.
+    out get `OUT` and are counted by reason in `selection`.
     """
     groups = [scene_group(family, scene, config) for family, scene in pool.scenes]
     by_group = {"train": SPLITS.index("train"), "val_unseen": SPLITS.index("val_unseen"), "test": SPLITS.index("test")}
@@ -241,21 +256,18 @@ def _place(pool: ExportPool, config: SplitsConfig, left_out: Counter[str]) -> np
     seen = fractions(pool.start[first][which], config.seed, "val_seen") < config.val_seen_share
     placed[train & seen] = SPLITS.index("val_seen")
     fit = np.flatnonzero(pool.unfit == FIT)
-    for code, count in enumerate(np.bincount(pool.unfit, minlength=len(pool.reasons)).tolist()):
-        if code != FIT and count:
-            left_out[pool.reasons[code]] += count
+    for code in np.unique(pool.unfit[pool.unfit != FIT]).tolist():
+        selection.lose(pool, pool.unfit == code, pool.reasons[code])
     # A program shared by units in two splits stays in the split in which it occurs first.
     _, first, which = np.unique(pool.instruction[fit], return_index=True, return_inverse=True)
     torn = placed[fit] != placed[fit][first][which]
-    if torn.any():
-        left_out["its program is in another split"] += int(torn.sum())
+    selection.lose(pool, fit[torn], "its program is in another split")
     kept = np.full(len(pool), OUT, dtype=np.int8)
     kept[fit[~torn]] = placed[fit[~torn]]
     # If one member of a counterfactual group is missing, the whole group is dropped.
     halved = pool.grouped & np.isin(pool.unit, pool.unit[pool.grouped & (kept == OUT)]) & (kept != OUT)
-    if halved.any():
-        left_out[_HALVED] += int(halved.sum())
-        kept[halved] = OUT
+    selection.lose(pool, halved, _HALVED)
+    kept[halved] = OUT
     return kept
 
 

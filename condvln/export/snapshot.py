@@ -172,6 +172,7 @@ def export_snapshot(
         selection, splits_of, generated = _choose(tables, splits, scenes)
         report.cells = selection.cells
         report.left_out = dict(sorted(selection.left_out.items()))
+        report.lost = {name: dict(found) for name, found in sorted(selection.lost.items())}
         report.empty_splits = {str(split): why for split, why in selection.empty.items()}
         report.truth_imbalance = selection.truth_imbalance
         vocabulary = Vocabulary.of(_texts(tables, splits_of, oracle_text))

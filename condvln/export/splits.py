@@ -24,6 +24,7 @@ from schemas.errors import ConfigError
 
 __all__ = [
     "GROUPS",
+    "OBSERVED",
     "ROUTE_BOUNDS",
     "SHAPE_AXES",
     "SPLITS",
@@ -48,6 +49,14 @@ ROUTE_BOUNDS: Final = (5, 10, 20)
 
 WORD_BOUNDS: Final = (40, 80, 120)
 """Numbers of words at which the next class begins."""
+
+OBSERVED: Final = {
+    "O0f": "all evidence is in the first view",
+    "O0": "all evidence is seen from the start by turning",
+    "O1": "evidence is seen on the way that all leaves share",
+    "O2": "evidence is seen after a detour only",
+}
+"""Classes of observability. Columns and cells know no O0f apart: there O0 is both."""
 
 
 def observability_class(observability: str | None, evidence_in_view: bool | None) -> str | None:

@@ -1,16 +1,20 @@
-"""Write ``docs/data.md``, every column of every table: ``python docs/site/data.py``."""
+"""Write ``docs/data.md`` and ``docs/views.md``, every column of every table and view: ``python docs/site/data.py``."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import duckdb
 import pyarrow as pa
 
+from jobs.query import QUERIES, VIEWS
 from schemas.generate import inner_fields
 from schemas.tables import ABOUT, EXPORT_TABLES, SORT_KEYS, TABLES, TRAJECTORY_TABLES, description
 
 FILE = Path(__file__).resolve().parents[1] / "data.md"
+VIEWS_FILE = FILE.with_name("views.md")
 
 
 def data_page() -> str:
@@ -27,7 +31,7 @@ def data_page() -> str:
         "`units/<stage>/…/<table>.parquet`, with the same columns.",
         "The published files carry these descriptions: `pyarrow.parquet.read_schema(FILE).field(NAME).metadata`. "
         "`views.sql` beside the tables makes the views of `condvln query` in DuckDB's own shell: start it in the "
-        "snapshot's folder, and `.read views.sql`.",
+        "snapshot's folder, and `.read views.sql`; [Views](views.md) has their columns.",
     ]
     parts += _sections(TABLES)
     parts.append(
@@ -55,6 +59,38 @@ def _sections(schemas: Mapping[str, pa.Schema]) -> Iterator[str]:
             yield "\n".join(["| inside | meaning |", "|---|---|", *inner])
 
 
+def view_columns(name: str) -> list[tuple[str, str, str]]:
+    """Return the columns of a view: name, type and meaning, empty where neither `queries.sql` nor a table has it."""
+    view = VIEWS[name]
+    told = {"source": "family of the dataset"}
+    for table in reversed(view.tables):
+        told |= {field.name: description(field) for field in TABLES[table]}
+    told |= dict(re.findall(r"^-- (\w+): (.*)$", view.sql, re.MULTILINE))
+    with duckdb.connect() as connection:
+        for table in view.tables:
+            rows = TABLES[table].append(pa.field("source", pa.string())).empty_table()
+            connection.register(table, rows)
+        found = connection.execute(f"DESCRIBE {view.sql}").fetchall()
+    return [(column, kind.lower(), told.get(column, "")) for column, kind, *_ in found]
+
+
+def views_page() -> str:
+    """Return the text of ``docs/views.md``: every column of every view, and the named queries."""
+    parts = [
+        "# Views and named queries",
+        "Made from `jobs/queries.sql` by `python docs/site/data.py`. `condvln query CONFIG SQL` reads views as it does "
+        "the [tables](data.md).",
+    ]
+    for name, view in VIEWS.items():
+        tables = ", ".join(f"`{table}`" for table in view.tables)
+        rows = [f"| `{column}` | {kind} | {meaning} |" for column, kind, meaning in view_columns(name)]
+        table = "\n".join(["| column | type | meaning |", "|---|---|---|", *rows])
+        parts.append(f"## {name}\n\n{view.about[0].upper()}{view.about[1:]}, from {tables}.\n\n{table}")
+    queries = [f"| `{name}` | {query.about} |" for name, query in QUERIES.items()]
+    parts.append("\n".join(["## Named queries\n", "| name | answer |", "|---|---|", *queries]))
+    return "\n\n".join(parts) + "\n"
+
+
 def _type(kind: pa.DataType) -> str:
     if pa.types.is_list(kind):
         return f"list of {_type(kind.value_type)}"
@@ -63,3 +99,4 @@ def _type(kind: pa.DataType) -> str:
 
 if __name__ == "__main__":
     FILE.write_text(data_page(), encoding="utf-8")
+    VIEWS_FILE.write_text(views_page(), encoding="utf-8")

@@ -106,7 +106,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    epilog="Begin with condvln demo. The help of each verb ends with an example.",
+    epilog=f"{EXIT_CODES}\n\nBegin with condvln demo. The help of each verb ends with an example.",
 )
 
 

@@ -81,6 +81,6 @@ LookerKeys = Annotated[
 ]
 
 EXIT_CODES: Final = (
-    "Exit codes: 0 done, 1 usage or a file that can't be written, 3 done with quarantined scenes or failed proofs, "
-    "4 over the failure budget."
+    "Exit codes: 0 done, 1 wrong usage, or the store or the disk refused, 3 an input that can't be used, quarantined "
+    "scenes or a failed check, 4 over the failure budget, 130 stopped by Ctrl-C."
 )

@@ -49,7 +49,8 @@ class InstructionCell(Section):
     composition: Composition | None = None
     """composition: how many rooms the program spans"""
     observability: Literal["O0f", "O0", "O1", "O2"] | None = None
-    """observability: where the evidence is visible; O0f is O0 with all evidence in the first view"""
+    """observability: where the evidence is visible: O0 from the start, O0f of these in the first view, O1 on the way
+    that all leaves share, O2 after a detour only"""
     moves: int | None = Field(None, ge=1, le=3)
     """number of moves of every leaf; it is the same for all leaves, so that it doesn't reveal the gold leaf"""
     route: tuple[Finite, Finite] | None = Field(None, json_schema_extra={"unit": "m"})

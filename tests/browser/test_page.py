@@ -103,6 +103,39 @@ def test_outcomes_of_agents_are_filters_and_links(page: Page, made: Run) -> None
     assert count(page) == wanted
 
 
+def walks_drawn(page: Page) -> list[str]:
+    """Return the agents whose walks are on the plan of the episode that is shown."""
+    page.until("return location.hash.startsWith('#/episode/') && document.querySelector('.playback input[data-agent]')")
+    page.until("return Boolean(document.querySelector('.plan-holder .walk'))")
+    script = "return [...document.querySelectorAll('input[data-agent]:checked')].map((box) => box.dataset.agent)"
+    return [*page.run(script)]
+
+
+def test_an_agents_walk_is_at_most_three_clicks_from_the_first_page(page: Page) -> None:
+    page.go("#/browse")
+    agent = AGENTS[-1]
+    page.one(".episodes .outcome[href*='walk=always-then']").click()
+    assert walks_drawn(page) == [agent]
+    before = page.run("return document.body.dataset.ready")
+    page.one("#next").click()
+    page.until("return document.body.dataset.ready !== arguments[0]", before)
+    assert walks_drawn(page) == [agent], "the next episode of the list has its walk too"
+    page.go("#/browse")
+    page.one("header nav a[data-view='agents']").click()
+    page.until("return Boolean(document.querySelector('[data-table=main-first]'))")
+    page.one("[data-table='main-first'] a[href*='always-then']").click()
+    page.until("return Boolean(document.querySelector('.episodes [data-episode]'))")
+    assert count(page) == count_of_agent(page, agent)
+    page.one(".episodes [data-episode]").click()
+    assert walks_drawn(page) == [agent]
+
+
+def count_of_agent(page: Page, agent: str) -> int:
+    """Return the number of episodes for which an agent has an outcome."""
+    script = "return explorer.index.agents.find((one) => one.name === arguments[0]).outcome.filter(Boolean).length"
+    return int(page.run(script, agent))
+
+
 def test_failures_and_differences_of_agents_are_filters(page: Page, made: Run) -> None:
     page.go("#/agents")
     table = {row[0]: row[1:] for row in (row.split("|") for row in cells(page, "outcomes"))}

@@ -23,8 +23,9 @@ from factory.store import LocalStore
 from jobs.command import REPLACED, VERBS, app, main
 from jobs.configuration import load_config
 from jobs.report import Report
+from jobs.submit import INTERRUPTED
 from schemas.config import Config
-from schemas.errors import UsageError
+from schemas.errors import CondVLNError, UsageError
 from tests.site_parts import part
 
 runner = CliRunner()
@@ -86,6 +87,17 @@ def test_the_help_of_the_command_fits_and_names_each_verb_once() -> None:
     assert "..." not in said.split("Options:")[1]
     listed = re.findall(r"^  ([a-z]+)  ", said, re.MULTILINE)
     assert sorted(listed) == sorted({path[0] for path in PAGE.command_paths() if path})
+
+
+def exit_codes(error: type[CondVLNError]) -> set[int]:
+    """Return the exit codes of an error and of all that are derived from it."""
+    return {error.exit_code}.union(*(exit_codes(kind) for kind in error.__subclasses__()))
+
+
+def test_the_help_names_the_exit_codes_of_all_errors() -> None:
+    said = " ".join(runner.invoke(app, ["--help"], terminal_width=80).output.split())
+    told = said.split("Exit codes: ")[1].split(".")[0]
+    assert {*map(int, re.findall(r"\b\d+\b", told))} == exit_codes(CondVLNError) | {0, INTERRUPTED}
 
 
 def test_the_command_says_its_version() -> None:

@@ -49,7 +49,7 @@ def test_a_narrow_terminal_shows_the_leading_columns_whole(
     export: Path, split: str, agents: dict[str, Path], made_dataset: Path
 ) -> None:
     options = SplitOptions(navmesh_roots=(made_dataset,))
-    report = evaluate_predictions(Question(export, split, (agents["oracle"],), options=options))
+    report = evaluate_predictions(Question(export, split, (agents["oracle"],), options=options, tables=("main",)))
     narrow, wide = Console(width=80, record=True), Console(width=PIPE_WIDTH, record=True)
     for console in (narrow, wide):
         console.print(report)
@@ -113,6 +113,12 @@ def test_agents_side_by_side_in_every_form(evaluate: Any, agents: dict[str, Path
     assert "Main results" in terminal
     assert "By category" not in terminal, "other tables are named, not printed"
     assert set(tables) - {"main"} <= set(re.split(r"[,\s]+", terminal.split("more tables", 1)[1]))
+    places = [terminal.index(word) for word in ("agent", "SPL-", "BSA-", "CSR-", "oracle")]
+    assert places == sorted(places)
+    assert "nDTW" not in terminal
+    for column in ("SR", "SPL-look", "BSA-all", "CSR-all", "justified"):
+        assert f"{column}: " in terminal, "what each column is"
+    assert "nDTW" in evaluate(*files, "--table", "main").stdout
     named = evaluate(*files, "--table", "category").stdout
     assert "Main results" not in named
     every = evaluate(*files, "--all").stdout

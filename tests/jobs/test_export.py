@@ -39,9 +39,29 @@ def test_shards_groups_and_shortfalls_are_the_configurations(made_run: tuple[Con
     assert sum(cell["shortfall"] for cell in short) + sum(cell["selected"] for cell in short) == 3 * 4 * sum(
         SHAPES[category].leaves for category in CATEGORIES
     )
-    (section,) = [section for section in report.sections if section.title == "Cells that are short"]
-    assert len(section.rows) == sum(cell["shortfall"] > 0 for cell in short) > 0
-    assert any("cells are short" in line for line in report.lines)
+    count = sum(cell["shortfall"] > 0 for cell in short)
+    assert any(line.startswith(f"{count} cells are short") for line in report.lines)
+
+
+def test_a_category_of_which_nothing_is_kept_is_said_with_why_and_what_to_do(
+    made_run: tuple[Config, Report], tmp_path: Path
+) -> None:
+    config, _ = made_run
+    lone = SplitsConfig(max_tokens=None, scenes={"test": ("*/*",)})
+    report = run_export(config.model_copy(update={"export": tmp_path / "out", "splits": lone}))
+    (section,) = [section for section in report.sections if section.title == "Categories"]
+    assert {row[0] for row in section.rows} == {*config.instructions.per_category} < {*CATEGORIES}
+    for name, wanted, placed, kept, reasons in section.rows:
+        assert wanted > 0 < placed >= kept == report.document["shapes"]["test"]["category"].get(name, 0)
+        assert placed - kept == sum(report.document["lost"].get(name, {}).values())
+        assert bool(reasons) is (placed > kept)
+    none = run_export(
+        config.model_copy(update={"export": tmp_path / "none", "splits": SplitsConfig(max_tokens=30, bias="off")})
+    )
+    lost = [line for line in none.lines if line.startswith("WARNING: no episode of")]
+    gone = [row for row in none.sections[1].rows if not row[3]]
+    assert len(lost) == len(gone) > 0
+    assert any("more tokens than an agent reads" in line and "use more scenes" in line for line in lost)
 
 
 def test_connectivity_is_where_the_configuration_says(tmp_path: Path) -> None:

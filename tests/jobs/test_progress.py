@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from factory.executor import InlineExecutor
 from factory.ray_executor import RayExecutor
+from factory.receipt import Receipt, StageReceipt
 from factory.report import Progress, RunReport
 from factory.store import LocalStore
 from jobs.executor import SMALL_SECONDS, open_executor, place_of_work
-from jobs.progress import LOGS, LoggedRun
+from jobs.progress import LOGS, LoggedRun, RunProgress
 from schemas.config import RayConfig
 from schemas.errors import StoreError
 
@@ -115,3 +118,19 @@ def test_small_work_stays_in_this_process_unless_workers_are_asked_for(monkeypat
     assert place_of_work(RayConfig(address="auto"), 0.1)[0]
     monkeypatch.setattr("jobs.executor.cores", lambda: 1)
     assert place_of_work(RayConfig(), 1000.0) == (False, "the work is done in this process (this machine has one core)")
+
+
+def test_no_time_is_said_before_enough_units_are_measured() -> None:
+    """Two workers' first units pay for imports: 60 s each. The others take twice what was expected of them."""
+    told = io.StringIO()
+    with RunProgress(Console(file=told, width=200)) as progress:
+        progress.phase("first pass, for priors", 20, 20.0, 2)
+        for k in range(20):
+            stage = StageReceipt("count", b"", b"", b"", b"", b"", 60.0 if k < 2 else 2.0, 0, True, False, ())
+            progress.unit(Receipt(f"unit {k}", "made", "ok", "", b"", (stage,), expected=1.0))
+    head, *units = told.getvalue().splitlines()
+    assert head == "first pass, for priors: 20 to do, about 20 CPU s, shared by 2 workers"
+    assert not any("left" in line for line in units[:3]), "too little is measured"
+    assert units[3] == "first pass, for priors: 4/20 unit 3 (about 16 s left of this pass)"
+    assert units[18].endswith("(about 1 s left of this pass)")
+    assert "left" not in units[19]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pyarrow as pa
 import pytest
 from jsonschema import Draft202012Validator
 
+from jobs.query import VIEWS
 from schemas.generate import DOCUMENTS, FOLDER, generated_files
 from schemas.tables import ABOUT, QUATERNION, SORT_KEYS, TABLES, VEC3, description
 from tests.site_parts import part
@@ -33,6 +35,16 @@ def test_sort_keys_are_columns() -> None:
 def test_the_data_page_is_up_to_date() -> None:
     page = part("data")
     assert page.FILE.read_text(encoding="utf-8") == page.data_page(), "run: python docs/site/data.py"
+    assert page.VIEWS_FILE.read_text(encoding="utf-8") == page.views_page(), "run: python docs/site/data.py"
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_every_column_of_a_view_is_described(name: str) -> None:
+    columns = part("data").view_columns(name)
+    assert columns
+    assert [column for column, _, meaning in columns if not meaning] == []
+    described = re.findall(r"^-- (\w+): ", VIEWS[name].sql, re.MULTILINE)
+    assert {*described} <= {column for column, _, _ in columns}, "a column is described that is not there"
 
 
 def _undescribed(fields: object, path: str) -> list[str]:

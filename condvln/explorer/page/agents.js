@@ -5,12 +5,19 @@
   const { element, svg, link, count } = explorer;
   const CHART = { width: 300, height: 170, left: 34, bottom: 24 };
 
+  const AXES = { category: "category", depth: "depth", chain: "chain", source: "source", observability: "observability" };
   const FIRST = ["success", "spl_look", "bsa_all", "csr_all", "justified"];
 
   /* Return a cell with its interval beneath the number. */
   function stacked(text) {
     const parts = text.match(/^(\S+) (\[.*)$/);
     return parts ? [`${parts[1]} `, element("span", { class: "interval" }, parts[2])] : text;
+  }
+
+  /* Return the agent of a row as a link to the row's episodes, which are then shown with its walk. */
+  function named(row, split) {
+    const asked = Object.entries(row).filter(([name, value]) => AXES[name] && value !== "all").map(([name, value]) => [AXES[name], value]);
+    return link(row.agent, "browse", { ...Object.fromEntries(asked), split, [`agent:${row.agent}`]: explorer.filters.SCORED }, { title: `Episodes of ${row.agent}, each with its walk` });
   }
 
   function whole(table) {
@@ -28,7 +35,7 @@
     const block = (row) => over.map((name) => row[name]).join();
     const best = (row, key) => row[key]?.mean > 0 && table.rows.every((other) => block(other) !== block(row) || !(other[key]?.mean > row[key].mean));
     const order = table.rows.map((row, k) => [over.some((name) => row[name] === "all") ? 0 : 1, k]).sort(([a, i], [b, j]) => a - b || i - j);
-    const cells = order.map(([, n]) => used.map((k) => (best(table.rows[n], keys[k]) ? element("b", {}, stacked(table.cells[n][k])) : stacked(table.cells[n][k]))));
+    const cells = order.map(([, n]) => used.map((k) => (keys[k] === "agent" ? named(table.rows[n], table.split) : best(table.rows[n], keys[k]) ? element("b", {}, stacked(table.cells[n][k])) : stacked(table.cells[n][k]))));
     return element("div", { "data-split": table.split },
       element("div", { class: "stacked" }, explorer.table(`${table.title} (${table.split})`, used.map((k) => table.headings[k]), cells, `${table.name}-first`)),
       table.cells.some((row) => row.some((cell) => cell.includes("["))) ? element("p", { class: "note" }, "Beneath a number: its 95 % interval, scenes drawn with replacement; a row without them comes from one scene. Bold: the best of its block.") : "",
@@ -81,8 +88,6 @@
       ? link(count(found[j][k]), "browse", { [`agent:${first.name}`]: outcomes[j], [`agent:${second.name}`]: outcomes[k] }) : "0"))]);
     return element("div", { class: "stacked" }, explorer.table(`What became of the same episodes: ${first.name} and ${second.name}`, ["episodes", ...used.map((k) => `#${second.name}: ${outcomes[k]}`)], rows, "compared"));
   }
-
-  const AXES = { category: "category", depth: "depth", chain: "chain", source: "source", observability: "observability" };
 
   /* Return the tables of differences between two agents, by category, depth and so on. */
   function better(tables, first, second) {

@@ -12,7 +12,7 @@
 
   function select(name, values, asked, change) {
     const node = element("select", { id: `filter-${name}`, name }, element("option", { value: "" }, "all"),
-      values.map((value) => element("option", { value, selected: asked[name] === String(value) }, value)));
+      values.map((value) => element("option", { value, selected: asked[name] === String(value) }, explorer.meaning(value) ? `${value}: ${explorer.meaning(value)}` : value)));
     node.addEventListener("change", () => change(name, node.value));
     return field(name, node);
   }
@@ -51,7 +51,7 @@
     groups.addEventListener("change", () => change("group", groups.value));
     const agents = index.agents.map((agent) => {
       const [first, success, ...failures] = index.outcomes;
-      return pick(`agent:${agent.name}`, [success, explorer.filters.NOT_SUCCESS, ...failures, first].map((one) => [one, one]), asked, change, `Agent ${agent.name}`);
+      return pick(`agent:${agent.name}`, [explorer.filters.SCORED, success, explorer.filters.NOT_SUCCESS, ...failures, first].map((one) => [one, one]), asked, change, `Agent ${agent.name}`);
     });
     if (agents.length > 1) agents.push(pick("differ", [["outcome", "they differ"]], asked, change));
     agents.push(pick("untrue", [["some", "one is false"], ["none", "all are true"]], asked, change));
@@ -72,7 +72,8 @@
     const at = (name) => explorer.named(name, row);
     const scene = index.scenes[index.columns.scene[row]];
     const outcomes = index.agents.filter((agent) => agent.outcome[row]).map((agent) =>
-      element("span", { class: `outcome outcome-${agent.outcome[row]}` }, `${agent.name}: ${index.outcomes[agent.outcome[row]]}`));
+      element("a", { class: `outcome outcome-${agent.outcome[row]}`, href: explorer.address(`episode/${id}`, { ...asked, walk: agent.name }), title: `The episode with the walk of ${agent.name}` },
+        `${agent.name}: ${index.outcomes[agent.outcome[row]]}`));
     return element("li", {},
       element("a", { href: explorer.address(`episode/${id}`, asked), "data-episode": id },
         element("span", { class: "id" }, id), " ", element("span", { class: "tags" },

@@ -66,8 +66,8 @@
   /* What the codes of the axes mean. */
   const CODES = {
     C0: "all in one room", C1: "several rooms", C2: "the condition and its leaves are in three rooms",
-    O0: "the evidence is seen from the start", O0f: "the evidence is in the first view",
-    O1: "the evidence is seen on the way that all leaves share", O2: "the evidence is not seen before the ways to the leaves part",
+    O0f: "all evidence is in the first view", O0: "all evidence is seen from the start by turning",
+    O1: "evidence is seen on the way that all leaves share", O2: "evidence is seen after a detour only",
     simple: "one condition, two leaves", nested: "a condition within one side of another", chain: "if, else if, else: conditions tried one after the other",
     nested_chain: "a chain within one side of a condition", deep_nested: "conditions within conditions, three deep", long_chain: "three conditions tried one after the other",
   };

@@ -194,8 +194,8 @@
   }
 
   /* Return one episode as a node, whole or small (for groups side by side), and `shown`, to be called when it is in
-     the page. */
-  explorer.episodePanel = async (row, small, kept = () => {}, tagged = (episode) => episode) => {
+     the page. `chosen` names the agents whose walks are drawn at first. */
+  explorer.episodePanel = async (row, small, kept = () => {}, tagged = (episode) => episode, chosen = []) => {
     const episode = tagged(await explorer.loadEpisode(row));
     const [scene, walks] = await Promise.all([explorer.load(`scene-${explorer.index.columns.scene[row]}`), explorer.loadWalks(row)]);
     const drawn = drawing(episode);
@@ -213,7 +213,7 @@
       if (now?.condition !== undefined) details.replaceChildren(explorer.facts(episode, now.condition, scene));
     }
     const decided = Object.entries(episode.views || {}).map(([k, view]) => [explorer.letter(Number(k)), view.at]);
-    const playback = !small && Object.keys(walks).length ? new explorer.Playback(walks, (agent) => outcomeText(row, agent), decided) : null;
+    const playback = !small && Object.keys(walks).length ? new explorer.Playback(walks, (agent) => outcomeText(row, agent), decided, chosen) : null;
     const panel = planPanel(scene, episode, drawn, playback && ((plan) => playback.attach(plan)));
     root.append(
       element("div", { class: "left" }, panel.node, playback && playback.node, small ? null : [agentTable(row), leafTable(episode, scene), frames(episode)]),
@@ -239,7 +239,9 @@
     const before = at > 0 ? index.columns.id[found[at - 1]] : null;
     const after = at >= 0 && at < found.length - 1 ? index.columns.id[found[at + 1]] : null;
     const { mark, ...list } = asked;
-    const panel = await explorer.episodePanel(row, false, (about) => history.replaceState(null, "", explorer.address(`episode/${path[0]}`, { ...list, mark: named(about) })));
+    // The agent whose outcome was followed, or those that the list is filtered by.
+    const chosen = list.walk ? [list.walk] : index.agents.map((agent) => agent.name).filter((name) => list[`agent:${name}`]);
+    const panel = await explorer.episodePanel(row, false, (about) => history.replaceState(null, "", explorer.address(`episode/${path[0]}`, { ...list, mark: named(about) })), undefined, chosen);
     const group = index.columns.group[row];
     const place = at < 0 ? "not in this list" : `${explorer.count(at + 1)} of ${explorer.count(found.length)}`;
     main.replaceChildren(

@@ -6,6 +6,7 @@
   const RANGES = ["depth", "chain", "moves", "words", "route_length", "geodesic_distance"];
   const LISTS = ["label", "predicate"];
   const NOT_SUCCESS = "not success";
+  const SCORED = "scored";
   let index = null;
   let texts = null;
 
@@ -134,7 +135,8 @@
     for (const agent of index.agents) {
       const value = asked[`agent:${agent.name}`];
       const wanted = index.outcomes.indexOf(value);
-      if (value) found.push(value === NOT_SUCCESS ? (row) => agent.outcome[row] > index.outcomes.indexOf("success") : (row) => agent.outcome[row] === wanted);
+      const above = { [SCORED]: 0, [NOT_SUCCESS]: index.outcomes.indexOf("success") }[value];
+      if (value) found.push(above === undefined ? (row) => agent.outcome[row] === wanted : (row) => agent.outcome[row] > above);
     }
     if (asked.differ) found.push((row) => new Set(index.agents.map((agent) => agent.outcome[row]).filter(Boolean)).size > 1);
     for (const name of ["untrue", "pictures"]) if (asked[name]) found.push((row) => columns[name][row] > 0 === (asked[name] === "some"));
@@ -162,5 +164,5 @@
     return found.slice(0, count);
   }
 
-  explorer.filters = { CHOICES, RANGES, LISTS, NOT_SUCCESS };
+  explorer.filters = { CHOICES, RANGES, LISTS, NOT_SUCCESS, SCORED };
 }

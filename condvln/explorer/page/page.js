@@ -10,7 +10,7 @@
     ["anchor", "the object that a relation is to: the bed in “near the bed”"],
     ["margin", "how far the deciding quantity is beyond its bound; what lies between the bounds of true and false is never used in text"],
     ["C0, C1, C2", "composition: all in one room; several rooms; a condition and its two leaves in three different rooms"],
-    ["O0f, O0, O1, O2", "from where the evidence is seen: in the first view; from the start; on the way that the paths to all leaves share; later"],
+    ["O0f, O0, O1, O2", "observability, from where the evidence is seen: in the first view; from the start by turning; on the way that all leaves share; after a detour only. In the tables' column O0 is O0f too"],
     ["NE, TL", "navigation error: metres from the end of the walk to the goal; length of the walk in metres"],
     ["SR, OSR", "success rate: the share of walks that stop within the success distance of the goal; OSR counts walks that come that near at any time"],
     ["SPL, SPL-route", "success weighted by the length of the shortest path to the goal; by the path through all stops"],

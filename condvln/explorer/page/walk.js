@@ -7,12 +7,14 @@
   const CHART = { width: 320, height: 110, left: 30, bottom: 18 };
 
   /* Controls for the walks of one episode. `outcome(agent)` says what became of it; `decided` has the letters of
-     conditions and the places at which the looking path decides them. At first the whole walks are shown. */
+     conditions and the places at which the looking path decides them; `chosen` names the agents to show at first, else the
+     first two are. At first the whole walks are shown. */
   class Playback {
-    constructor(walks, outcome, decided = []) {
+    constructor(walks, outcome, decided = [], chosen = []) {
       this.agents = Object.keys(walks);
       Object.assign(this, { walks, outcome, decided, timer: 0 });
-      this.shown = new Set(this.agents.slice(0, 2));
+      const own = this.agents.filter((agent) => chosen.includes(agent));
+      this.shown = new Set(own.length ? own : this.agents.slice(0, 2));
       this.length = Math.max(...this.agents.map((agent) => walks[agent].path.length));
       this.step = this.length - 1;
       this.build();

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.export.splits import observability_class, route_class, words_class
+from condvln.export.splits import OBSERVED, observability_class, route_class, words_class
 
 
 @pytest.mark.parametrize(
@@ -42,3 +42,4 @@ def test_classes_sort_as_what_they_class(one: float, other: float) -> None:
 def test_a_first_view_that_shows_all_is_told_apart() -> None:
     assert [observability_class("O0", seen) for seen in (True, False, None)] == ["O0f", "O0", "O0"]
     assert [observability_class(name, False) for name in ("O1", "O2", None)] == ["O1", "O2", None]
+    assert [*OBSERVED] == ["O0f", "O0", "O1", "O2"], "each class has its meaning"

@@ -53,6 +53,7 @@ def test_the_card_opens_with_metadata_that_names_the_files(exported: Path, index
 def test_every_axis_is_counted(exported: Path, index: dict[str, Any]) -> None:
     """Depth, chain, composition, observability and horizon (moves, length, words), each over every episode."""
     body = (exported / "README.md").read_text()
+    assert "Observability: O0f: all evidence is in the first view; O0: " in body
     for split, episodes in index["episodes"].items():
         rows = [json.loads(line) for line in (exported / "manifest" / f"{split}.jsonl").read_text().splitlines()]
         shape = index["shapes"][split]

@@ -223,3 +223,14 @@ def test_a_leaf_that_is_never_gold_leaves_its_category_out() -> None:
     cells = [cell for cell in selected.cells if cell.category == "simple"]
     assert {cell.selected for cell in cells} == {0}
     assert selected.left_out["beyond the balance"] >= simple.sum()
+
+
+def test_one_scene_alone_is_told_which_split_has_it_and_which_key_moves_it() -> None:
+    pool = pool_of(made_snapshot({"replicacad": ["lab"]}, per_category=12))
+    empty = select(pool, SplitsConfig(scenes={"test": ("*/lab",)})).empty
+    assert {*empty} == {"train", "val_seen", "val_unseen"}
+    for split in ("train", "val_unseen"):
+        assert "a scene is in one split only, and all scenes with episodes (1) are in test" in empty[split]
+        assert f"splits.scenes: {{{split}: [replicacad/lab]}} moves this one here" in empty[split]
+    moved = select(pool, SplitsConfig(scenes={"train": ("replicacad/lab",)})).empty
+    assert "train" not in moved
