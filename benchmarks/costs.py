@@ -29,7 +29,7 @@ from factory.report import Progress
 from factory.run import run
 from factory.stage import Unit
 from factory.store import LocalStore
-from jobs.costs import COEFFICIENTS, FEATURES, counts_of
+from jobs.costs import COEFFICIENTS, STAGES, counts_of
 from jobs.pipeline import build_pipeline, list_units, open_configured
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, InstructionsConfig, SourceConfig
@@ -116,7 +116,7 @@ def _fit(runs: Iterable[tuple[int, FirstRun]], stage: str) -> tuple[list[float],
     for asked, found in runs:
         for unit_id, seconds in found.stages[stage]:
             counts = counts_of(found.family, found.counts[unit_id], asked)
-            rows.append([counts[name] for name in FEATURES[stage]])
+            rows.append([counts[name] for name in COEFFICIENTS[found.family][stage]])
             spent.append(seconds)
     if not rows:
         return [], 0
@@ -131,7 +131,7 @@ def main() -> None:
     console = Console(width=160)
     scenes = int(os.environ.get("CONDVLN_BENCH_SCENES", "24"))
     judged = Table(title="Estimates before the first run ÷ CPU seconds that its stages took")
-    for column in ("family", "a category", "CPU s", "all stages", *FEATURES):
+    for column in ("family", "a category", "CPU s", "all stages", *STAGES):
         judged.add_column(column)
     table = Table(title="CPU seconds for one of each count")
     for column in ("family", "stage", "counts", "fitted here", "in use", "scenes"):
@@ -143,13 +143,11 @@ def main() -> None:
                 (len(CATEGORIES) * asked + 8, first_run(family, root, asked, Path(name), scenes)) for asked in ASKED
             ]
             for asked, (_, found) in zip(ASKED, runs, strict=True):
-                ratios = [f"{found.ratio(*stages):.2f}" for stages in (FEATURES, *([stage] for stage in FEATURES))]
-                judged.add_row(family, str(asked), f"{found.spent(*FEATURES):.1f}", *ratios)
-            for stage, features in FEATURES.items():
+                ratios = [f"{found.ratio(*stages):.2f}" for stages in (STAGES, *([stage] for stage in STAGES))]
+                judged.add_row(family, str(asked), f"{found.spent(*STAGES):.1f}", *ratios)
+            for stage, counted in COEFFICIENTS[family].items():
                 fitted, count = _fit(runs, stage)
-                numbers = (
-                    ", ".join(f"{value:.4f}" for value in values) for values in (fitted, COEFFICIENTS[family][stage])
-                )
-                table.add_row(family, stage, ", ".join(features), *numbers, str(count))
+                numbers = (", ".join(f"{value:.4f}" for value in values) for values in (fitted, counted.values()))
+                table.add_row(family, stage, ", ".join(counted), *numbers, str(count))
     console.print(judged)
     console.print(table)

@@ -38,7 +38,7 @@ from condvln.trajectories.cameras import hub_cameras
 from condvln.trajectories.images import ImageWriter, image_path
 from condvln.trajectories.walks import point_of, vector
 from condvln.world import open_world
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.generate import run_generate
 from jobs.stages.trajectories import WalkStage
 from jobs.trajectories import Request, make_trajectories
@@ -132,7 +132,7 @@ def made_walks(folder: Path, family: Family) -> list[pa.Table]:
         instructions=instructions,
     )
     run_generate(config, inline=True)
-    export_snapshot_of(config)
+    run_export(config)
     walks = TrajectoryConfig(walks=("direct", "recovery"))
     found = []
     for manifest in manifest_paths(folder / f"{family}-export"):

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from condvln.export.contents import read_index
 from condvln.export.splits import SPLITS
-from condvln.formats.streams import write_file
+from condvln.formats.streams import indented, write_file
 from condvln.manifest import manifest_path, read_manifest
 from factory.snapshot import Snapshot
 from jobs.agents import datasets_of
@@ -151,8 +151,7 @@ def build_benchmark(
         return report
     record = _record(benchmark)
     export = export_folder(benchmark.config)
-    options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
-    write_file(export / RECORD, orjson.dumps(record.model_dump(mode="json"), option=options) + b"\n")
+    write_file(export / RECORD, indented(record.model_dump(mode="json"), orjson.OPT_SORT_KEYS))
     short = list(short_lines(benchmark.file, record))
     lines = [
         f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "

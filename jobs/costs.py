@@ -10,63 +10,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+import yaml
+
+from condvln.own_tables import own_text
 from condvln.sources.family import FAMILIES
 from condvln.sources.source import SceneCounts
 
-__all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "FEATURES", "counts_of", "stage_costs"]
+__all__ = ["COEFFICIENTS", "COMPILE_SECONDS", "STAGES", "counts_of", "stage_costs"]
 
-FEATURES: Final[Mapping[str, tuple[str, ...]]] = {
-    "scene": ("scene", "objects", "mesh_mb"),
-    "counts": ("scene", "kilopairs"),
-    "relations": ("scene", "kilopairs"),
-    "visibility": ("scene", "seen_objects"),
-    "episodes": ("objects", "asked", "placed_kiloobjects"),
-    "text": ("asked",),
-}
-"""Counts that the cost of each stage depends on; see `counts_of`."""
-
-COEFFICIENTS: Final[Mapping[str, Mapping[str, tuple[float, ...]]]] = {
-    "replicacad": {
-        "scene": (0.0172, 0.0006, 0.0),
-        "counts": (0.0049, 0.0007),
-        "relations": (0.0215, 0.0187),
-        "visibility": (0.0, 0.0011),
-        "episodes": (0.0025, 3.2, 0.0),
-        "text": (0.0167,),
-    },
-    "procthor": {
-        "scene": (0.011, 0.0005, 0.0),
-        "counts": (0.0047, 0.0088),
-        "relations": (0.013, 0.0143),
-        "visibility": (0.0023, 0.0014),
-        "episodes": (0.01, 2.34, 0.32),
-        "text": (0.0178,),
-    },
-    "ithor": {
-        "scene": (0.019, 0.0005, 0.0),
-        "counts": (0.0067, 0.0004),
-        "relations": (0.0126, 0.0074),
-        "visibility": (0.0, 0.0014),
-        "episodes": (0.0012, 0.32, 0.0),
-        "text": (0.0092,),
-    },
-    "gibson": {
-        "scene": (0.0082, 0.0001, 1.0),
-        "counts": (0.0, 0.1352),
-        "relations": (0.0003, 0.1662),
-        "visibility": (0.0014, 0.0011),
-        # Its real scenes at hand have no navmesh; where one has, its episodes are taken to cost what ProcTHOR's do.
-        "episodes": (0.0021, 0.102, 0.32),
-        "text": (0.007,),
-    },
-}
-"""CPU seconds for one of each of a stage's ``FEATURES``, by family.
+COEFFICIENTS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = yaml.safe_load(own_text("jobs", "costs.yaml"))
+"""CPU seconds for one of each count that a stage's cost depends on, by family, stage and count, from ``costs.yaml``.
 
 Fitted by ``python -m benchmarks costs`` on one of 2 cores, to 24 scenes of ReplicaCAD, 24 houses of ProcTHOR, 7 plans
 of iTHOR and 14 scans of Gibson with 4, 12 and 24 episodes of each category. Of ``mesh_mb`` (building a navmesh from a
 scan) only the order of magnitude is known: there are no scans to measure on. A soak test compares the estimates with
 first runs of real scenes; where they are wrong by a factor of two, fit the table again.
 """
+
+STAGES: Final = tuple(COEFFICIENTS["procthor"])
+"""The stages that cost something."""
 
 COMPILE_SECONDS: Final = 105.0
 """CPU seconds for compiling all kernels once; later runs load them from a cache."""
@@ -103,6 +65,6 @@ def stage_costs(family: str, counts: SceneCounts, asked: int) -> dict[str, float
     """
     known = counts_of(family, counts, asked)
     return {
-        stage: sum(c * known[name] for c, name in zip(coefficients, FEATURES[stage], strict=True))
-        for stage, coefficients in COEFFICIENTS[FAMILIES[family].costs_like or family].items()
+        stage: sum(seconds * known[name] for name, seconds in counted.items())
+        for stage, counted in COEFFICIENTS[FAMILIES[family].costs_like or family].items()
     }

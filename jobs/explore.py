@@ -29,13 +29,13 @@ from jobs.explore_scenes import ExploredScene, export_scenes, snapshot_scenes
 from jobs.explore_statistics import Counts, former_episodes, scene_yield, statistics_document
 from jobs.report import Report, followed
 from jobs.show import world_of
+from schemas.base import Json
 from schemas.config import Config
 from schemas.errors import InputError, UsageError
 
 __all__ = ["Exploration", "ExploredAgents", "ScoredSplit", "asked_split", "explore", "scored_splits"]
 
 CERTIFICATES: Final = "certificates"
-Document = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def _add(
 
 
 def _look(
-    site: Site, scene: ExploredScene, documents: Sequence[Document], config: Config, walks: Mapping[str, Document]
+    site: Site, scene: ExploredScene, documents: Sequence[Json], config: Config, walks: Mapping[str, Json]
 ) -> None:
     """Add pictures to the documents of some episodes."""
     world = world_of(config, {"source": scene.scene.family, "scene_id": scene.scene.scene_id})
@@ -159,10 +159,10 @@ class _Certificates:
                 if isinstance(line, dict) and "episode_id" in line:
                     self._lines[str(line["episode_id"])] = text
 
-    def of(self, row: Mapping[str, Any]) -> Document | None:
+    def of(self, row: Mapping[str, Any]) -> Json | None:
         """Return the certificate of an episode; None if there is none."""
         text = self._lines.get(str(row["episode_id"]))
-        found: Document | None = None if text is None else orjson.loads(text)
+        found: Json | None = None if text is None else orjson.loads(text)
         return found
 
 
@@ -229,7 +229,7 @@ class ExploredAgents:
 
     results: list[AgentResults] = field(default_factory=list)
     walks: dict[str, dict[str, Prediction]] = field(default_factory=dict)
-    tables: list[Document] = field(default_factory=list)
+    tables: list[Json] = field(default_factory=list)
 
     def add(self, scored: ScoredSplit) -> None:
         """Add the agents of one split. Raises InputError from the readers."""
@@ -245,11 +245,11 @@ class ExploredAgents:
                 walks = self.walks.setdefault(evaluation.agent, {})
                 walks.update({one.episode_id: one for one in read_predictions(path, rules=scored.reading)})
 
-    def walks_of(self, rows: Sequence[Mapping[str, Any]], folder: NavmeshFolder) -> dict[str, Document]:
+    def walks_of(self, rows: Sequence[Mapping[str, Any]], folder: NavmeshFolder) -> dict[str, Json]:
         """Return the agents' walks of the episodes `rows`, by episode id and agent. For an episode whose navmesh is not
         in `folder`, distances are those along straight lines.
         """
-        found: dict[str, Document] = {}
+        found: dict[str, Json] = {}
         for row in rows:
             name = str(row["episode_id"])
             by_agent = {}

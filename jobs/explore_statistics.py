@@ -17,6 +17,7 @@ from condvln.manifest import manifest_lines, manifest_paths
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.explore_scenes import ExploredScene
 from jobs.workspace import open_store
+from schemas.base import Json
 from schemas.config import Config
 from schemas.errors import UsageError
 
@@ -30,7 +31,6 @@ __all__ = [
     "statistics_document",
 ]
 
-Document = dict[str, Any]
 SUMS: Final = ("wanted", "candidates", "rejected", "placed")
 EXAMPLES: Final = 3
 """Number of examples that are kept of each reason of rejection."""
@@ -46,7 +46,7 @@ class Counts:
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
     places: dict[tuple[str, str, str], Counter[str]] = field(default_factory=dict)
-    examples: dict[tuple[str, str, str], list[Document]] = field(default_factory=dict)
+    examples: dict[tuple[str, str, str], list[Json]] = field(default_factory=dict)
     ids: dict[str, EpisodeFacts] = field(default_factory=dict)
 
     def add(self, scene: ExploredScene) -> None:
@@ -93,7 +93,7 @@ class Counts:
                 self.examples[source, stage, reason].append({**place, **found})
 
 
-def scene_yield(scene: ExploredScene) -> Document | None:
+def scene_yield(scene: ExploredScene) -> Json | None:
     """Return what became of a scene's candidates: rows of the tables ``funnel`` and ``rejections``, the latter with the
     rule in words; ``wanted`` and ``placed``, summed; and ``reason``, the most frequent one in the cells that have fewer
     than wanted, of placing before drawing. None where nothing is known.
@@ -115,7 +115,7 @@ def scene_yield(scene: ExploredScene) -> Document | None:
     }
 
 
-def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Former | None) -> Document:
+def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former: Former | None) -> Json:
     """Return what the page's statistics show.
 
     Parameters
@@ -216,7 +216,7 @@ def _former_snapshot(name: str, config: Config) -> Snapshot | None:
     return Snapshot.open(store, name)
 
 
-def drift_document(now: Episodes, former: Former) -> Document:
+def drift_document(now: Episodes, former: Former) -> Json:
     """Return how the episodes changed.
 
     Returns

@@ -42,7 +42,7 @@ from schemas.errors import CondVLNError, CorruptShardError, SmallerExportError, 
 from schemas.evaluation import ManifestEpisode
 from schemas.program import CATEGORIES, Program
 
-__all__ = ["alone_in_export", "card_pictures", "export_snapshot_of", "graphs_of", "run_export", "write_export"]
+__all__ = ["alone_in_export", "card_pictures", "graphs_of", "run_export", "write_export"]
 
 
 PICTURES: Final = "pictures"
@@ -56,24 +56,18 @@ def run_export(config: Config, *, allow_shrink: bool = False) -> Report:
     """Write the splits that the configuration asks for.
 
     allow_shrink : also where the export would hold fewer episodes than the one in place, whatever the reason
-    """
-    export_folder(config)
-    report = export_snapshot_of(config, allow_shrink=allow_shrink)
-    if not report.document:
-        report.exit_code = SmallerExportError.exit_code
-    return report
-
-
-def export_snapshot_of(config: Config, *, allow_shrink: bool = False) -> Report:
-    """Export what is published under the configuration's name.
 
     Raises
     ------
     SmallerExportError : it would hold fewer episodes than the export in place, which is kept
     StoreError : the disk refused, or another command is writing the folder
     """
+    export_folder(config)
     with alone_in_export(config):
-        return write_export(config, allow_shrink=allow_shrink)
+        report = write_export(config, allow_shrink=allow_shrink)
+    if not report.document:
+        report.exit_code = SmallerExportError.exit_code
+    return report
 
 
 def alone_in_export(config: Config) -> AbstractContextManager[None]:
@@ -87,7 +81,7 @@ def alone_in_export(config: Config) -> AbstractContextManager[None]:
 
 
 def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = False) -> Report:
-    """Export as :func:`export_snapshot_of` does, for a caller that already holds the lock (:func:`alone_in_export`).
+    """Export as :func:`run_export` does, for a caller that already holds the lock (:func:`alone_in_export`).
 
     renewed : the priors were renewed on purpose
     """

@@ -11,15 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-import orjson
-
 from condvln.evaluation.agents import Agent, agent_named, predict_all
 from condvln.evaluation.aggregate import Estimate, compare, summary
 from condvln.evaluation.evaluate import Evaluation, evaluate
 from condvln.evaluation.metrics import keys_of, metrics_of
 from condvln.evaluation.split import SplitOptions, evaluate_split, split_tasks
 from condvln.export.contents import exported_snapshot
-from condvln.formats.streams import write_file
+from condvln.formats.streams import indented, write_file
 from condvln.navigation.scene_navmesh import NavmeshFolder
 from jobs.agents import LOOKER, datasets_of, evidence_seen, looking_agent
 from jobs.benchmark import read_record
@@ -90,7 +88,7 @@ def score_benchmark(
         found += [(evaluation, _row(evaluation, None)) for evaluation in _references(export, split, roots, scenes)]
     board = _board(record, split, found)
     if out is not None:
-        write_file(out, orjson.dumps(board.model_dump(mode="json"), option=orjson.OPT_INDENT_2) + b"\n")
+        write_file(out, indented(board.model_dump(mode="json")))
     return _report(board, out, asked=references)
 
 

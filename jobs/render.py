@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.streams import write_file
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Follower
 from condvln.sensors import cameras_of
@@ -26,7 +26,6 @@ from schemas.errors import UsageError
 
 __all__ = ["ACTIONS", "render"]
 
-F64 = NDArray[np.float64]
 Cameras = Mapping[str, CameraConfig]
 
 ACTIONS: Final = {STOP: "stop", FORWARD: "forward", LEFT: "left", RIGHT: "right"}

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import yaml
 
+from condvln.own_tables import own_text
 from factory.job_server import PAUSE_SECONDS, JobServer
 from jobs.configuration import load_config
 from jobs.report import Report
@@ -32,18 +33,7 @@ LAUNCHER: Final = "condvln.sh"
 
 # PATH of a job is that of whoever ran `ray start`, often without the environment's own folder. But the parent of a
 # job's shell is Ray's Python (`exec` in the entrypoint keeps it so), and on Linux its memory map names its files.
-FIND_AND_RUN: Final = r"""library='/lib[^/]*/python[^/]*/[a-z]*-packages/ray/_raylet[.]so'
-environment=$(sed -n "s#^[^/]*\(/.*\)$library\$#\1#p" "/proc/$PPID/maps" 2>/dev/null | head -n 1)
-if [ -n "$environment" ] && [ -x "$environment/bin/condvln" ]; then
-  exec "$environment/bin/condvln" "$@"
-fi
-if command -v condvln >/dev/null 2>&1; then
-  exec condvln "$@"
-fi
-echo "condvln: not found on the head node, neither in Ray's environment (${environment:-unknown})" \
-  "nor on PATH ($PATH). Install condvln into the environment that runs Ray, on every node." >&2
-exit 127
-"""
+FIND_AND_RUN: Final = own_text("jobs", "find_and_run.sh")
 
 POLL_SECONDS: Final = 2.0
 

@@ -17,7 +17,7 @@ import orjson
 from rich.console import Console
 
 from condvln.formats.image_files import encoders
-from condvln.formats.streams import write_file
+from condvln.formats.streams import indented, write_file
 from condvln.manifest import manifest_lines, manifest_path
 from condvln.navigation.follower import ActionSpace
 from condvln.sensors.textures import decoders
@@ -334,8 +334,7 @@ class _Run:
         }
         read = read_me(work.target.split, terms, RECIPE_FILES, images=keep)
         write_file(self.folder / "README.md", read.encode())
-        options = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
-        write_file(self.folder / RECORD, orjson.dumps(record, option=options) + b"\n")
+        write_file(self.folder / RECORD, indented(record, orjson.OPT_SORT_KEYS))
         if keep:
             with new_folder(self.folder / RECIPE) as part:
                 for name in RECIPE_FILES:

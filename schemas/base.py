@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
@@ -13,7 +14,9 @@ __all__ = [
     "Finite",
     "Frozen",
     "Hours",
+    "Json",
     "Metres",
+    "Row",
     "Seconds",
     "Section",
     "Share",
@@ -26,6 +29,12 @@ SCHEMA_VERSION: Final = "1.0"
 """Version of all contracts in this package. The major part changes when a reader of the old form would misread the new
 one (new keys, everything is computed again); the minor part when fields are only added.
 """
+
+Json = dict[str, Any]
+"""An object of a JSON document."""
+
+Row = Mapping[str, Any]
+"""A row of a table, by its columns."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A float that is neither infinite nor NaN."""

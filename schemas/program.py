@@ -35,6 +35,7 @@ __all__ = [
     "anchors_of",
     "asked_in",
     "leaf_truths",
+    "route_through",
 ]
 
 Category = Literal["simple", "nested", "deep_nested", "chain", "long_chain", "nested_chain"]
@@ -272,6 +273,17 @@ SHAPES: Final[dict[Category, Shape]] = {
 CATEGORIES: Final[tuple[Category, ...]] = tuple(SHAPES)
 
 
+def route_through(branches: Sequence[Branch], truths: Sequence[bool]) -> tuple[tuple[int, ...], int]:
+    """Return the conditions that a tree asks if they are as `truths` says, and the leaf that it reaches."""
+    asked: list[int] = []
+    at = 0
+    while at >= 0:
+        branch = branches[at]
+        asked.append(branch.condition)
+        at = branch.then if truths[branch.condition] else branch.otherwise
+    return tuple(asked), -1 - at
+
+
 @cache
 def leaf_truths(category: Category) -> tuple[tuple[tuple[int, bool], ...], ...]:
     """Return, for each leaf, the (condition index, truth) pairs on the path from the root of the tree to the leaf."""
@@ -333,14 +345,7 @@ class Program(Frozen):
         """Return (indices of the conditions evaluated from the root on, index of the leaf reached), by the conditions'
         own truths or, if given, by `truths`.
         """
-        values = [c.truth for c in self.conditions] if truths is None else truths
-        asked: list[int] = []
-        at = 0
-        while at >= 0:
-            branch = self.branches[at]
-            asked.append(branch.condition)
-            at = branch.then if values[branch.condition] else branch.otherwise
-        return tuple(asked), -1 - at
+        return route_through(self.branches, [c.truth for c in self.conditions] if truths is None else truths)
 
     def led_branches(self, leaf: int) -> tuple[int, ...]:
         """Return the indices of the branches with leads on the way to a leaf, in order."""

@@ -118,7 +118,7 @@ class _Sample:
         """Add one episode to the sample."""
         counts = self.gold.setdefault((view.source, view.category), [0] * len(view.leaves))
         counts[view.gold] += 1
-        rank = _rank(view.episode_hash)
+        rank = int.from_bytes(hashlib.blake2b(view.episode_hash.encode(), digest_size=8).digest(), "big")
         if view.group is None:
             self._keep(rank, view)
             return
@@ -141,10 +141,6 @@ class _Sample:
             self._keep(rank, view)
         found = [view for cell in self._cells.values() for _, _, view in cell]
         return sorted(found, key=lambda g: (g.source, g.category, g.scene, g.episode_hash))
-
-
-def _rank(episode_hash: str) -> int:
-    return int.from_bytes(hashlib.blake2b(episode_hash.encode(), digest_size=8).digest(), "big")
 
 
 def _findings(views: Sequence[GuesserView]) -> Iterator[Finding]:

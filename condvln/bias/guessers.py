@@ -20,7 +20,7 @@ from condvln.bias.regression import NO_GUESS, Guesses, progressive, regressed
 from condvln.instructions.language import LANGUAGES, language
 from condvln.labels import vocabulary
 from condvln.labels.lists import goes_with, worth
-from schemas.program import CATEGORIES, SHAPES, Category, leaf_truths
+from schemas.program import CATEGORIES, SHAPES, Category, leaf_truths, route_through
 
 __all__ = ["FIXED", "LEARNED", "Guesser", "Learner", "content_words", "usual_truths"]
 
@@ -30,10 +30,7 @@ Guesser = Callable[[GuesserView], int]
 @cache
 def _constant(category: Category, truth: bool) -> int:
     branches = SHAPES[category].branches
-    at = 0
-    while at >= 0:
-        at = branches[at].then if truth else branches[at].otherwise
-    return -1 - at
+    return route_through(branches, [truth] * len(branches))[1]
 
 
 def always_then(view: GuesserView) -> int:

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from condvln.arrays import F64
+
 __all__ = [
     "BLOCKS",
     "NO_GUESS",
@@ -66,7 +68,6 @@ def progressive(scenes: Sequence[str], count: int = BLOCKS) -> Iterator[tuple[In
         yield np.concatenate(parts[:k]), parts[k]
 
 
-F64 = NDArray[np.float64]
 Guesses = NDArray[np.int64]
 
 PENALTY: Final = 10.0

@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, special
 
+from condvln.arrays import F64, Bools
+
 __all__ = ["CONFIDENCE", "binomial_tail", "holm", "interval", "p_by_scenes", "p_uniform"]
 
 CONFIDENCE: Final = 0.95
 LONG: Final = 500
 """Length from which distributions are convolved by fast Fourier transforms."""
-
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 def binomial_tail(hits: int, trials: Mapping[float, int]) -> float:

@@ -12,6 +12,7 @@ import pyarrow as pa
 from condvln.instructions.cell_drawing import CellDrawing, Seen
 from condvln.instructions.programs import instruction_id
 from condvln.instructions.sampling import ProgramSampler, group_id
+from condvln.own_tables import own_rows
 from schemas.config import InstructionCell
 from schemas.config.constants import GROUP_SIZE
 from schemas.program import CATEGORIES, SHAPES, Category, Program
@@ -36,34 +37,8 @@ PLACING: Final = "episodes"
 be placed.
 """
 
-REASONS: Final[dict[str, str]] = {
-    "no_heading": "no start in the room has objects to the left, right, front and back as the text states",
-    "object_without_goal_point": "no navigable point of the main floor near the object shows it recognisably",
-    "leaves_too_close": "two leaves' goals are less than 2τ + the leaf gap apart",
-    "lead_unseen": "no place of a lead's room, away from all goals, shows what its condition asks about",
-    "moves_too_close": "two stops of one leaf lie less than 2τ apart",
-    "no_start_in_range": "no start has every leaf within the distance range and every stop outside 2τ",
-    "unreachable": "no path between two consecutive stops",
-    "detour": "no start in range has every leaf's route within detour_factor times its distance, plus detour_slack",
-    "path_enters_other_leaf": "on the way to one leaf the path enters another leaf's τ ball",
-    "path_through_furniture": "a path on the navmesh crosses an object that stands on the floor",
-    "over_step_budget": "twice the ground-truth actions exceed the step ceiling",
-    "follower_stuck": "the ground-truth follower does not reach a goal with discrete actions",
-    "looking_unseen": "no walk was found that sees the evidence of all conditions on the way to some leaf in time",
-    "looking_detour": "the looking path to some leaf is longer than looking_detour allows for its direct route",
-    "looking_budget": "one and a half times the actions of the looking walk to some leaf exceed the step budget",
-    "observability_missed": "no start has the observability that the cell asks for",
-    "route_missed": "no start has routes to all leaves of the length that the cell asks for",
-    "program_placed": "the same program is already placed",
-    "label_over_cap": "a target's label already has its share of the scene's leaves",
-    "quota_full": "the cell already has all its episodes",
-    "gold_leaf_full": "the cell already has its share of episodes with this gold leaf",
-    "truth_full": "relations to whose anchor one is sent already have this truth more often in the scene's episodes",
-    "id_collision": "another episode with a smaller hash has the same integer id",
-    "no_navmesh": "the scene has no navmesh to place episodes on",
-    "no_start": "no navigable start on an island wide enough",
-}
-"""All reasons for which placing rejects a candidate, as counted in the rejections table."""
+REASONS: Final = {row["reason"]: row["meaning"] for row in own_rows("condvln.episodes", "rejections.csv")}
+"""All reasons for which placing rejects a candidate, as counted in the rejections table, from ``rejections.csv``."""
 
 
 GROUPS: Final = "counterfactual groups"

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.instructions.referents import things_meant
 from condvln.kept import kept
 from condvln.labels import vocabulary
@@ -29,8 +29,6 @@ from schemas.program import Program
 
 __all__ = ["HEADINGS", "Facings", "Headings"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 HEADINGS: Final = 360
 """Number of headings tried per position, evenly spaced from a random first one."""

@@ -11,23 +11,18 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from condvln.episodes.footprint import Footprint
+from condvln.arrays import F64
+from condvln.episodes.footprint import Obstacles
 from condvln.navigation.protocol import PathfinderProtocol
-from condvln.scene import Room, Scene, SceneObject
+from condvln.scene import Room, Scene
 from condvln.seeding import generator
 from schemas.config.constants import FLOOR_LEAST_SPACING, FLOOR_LIFT, FLOOR_POINTS, SINK, SNAP_TOLERANCE
 
 __all__ = ["floor_points", "standing_points"]
 
-F64 = NDArray[np.float64]
-
 
 def floor_points(
-    scene: Scene,
-    room: Room,
-    pathfinder: PathfinderProtocol,
-    islands: Sequence[int],
-    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    scene: Scene, room: Room, pathfinder: PathfinderProtocol, islands: Sequence[int], obstacles: Obstacles = ()
 ) -> F64:
     """Return points (n, 3) spread evenly over the walkable floor of `room`; over the whole floor if none of it is
     walkable.
@@ -47,11 +42,7 @@ def floor_points(
 
 
 def standing_points(
-    scene: Scene,
-    room: Room,
-    pathfinder: PathfinderProtocol,
-    islands: Sequence[int],
-    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    scene: Scene, room: Room, pathfinder: PathfinderProtocol, islands: Sequence[int], obstacles: Obstacles = ()
 ) -> F64:
     """Return evenly spread positions (n, 3) in `room` at which an agent can stand; empty if there are none.
 
@@ -61,7 +52,7 @@ def standing_points(
     return np.asarray(points[good & _free(points, obstacles)], dtype=np.float64)
 
 
-def _free(points: F64, obstacles: Sequence[tuple[SceneObject, Footprint]]) -> NDArray[np.bool_]:
+def _free(points: F64, obstacles: Obstacles) -> NDArray[np.bool_]:
     """Return a mask (n,) of the `points` (n, 3) that lie outside the footprints of all obstacles."""
     free = np.ones(len(points), dtype=bool)
     for _, footprint in obstacles:

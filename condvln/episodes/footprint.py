@@ -9,14 +9,13 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.scene import OrientedBox, SceneObject
 from schemas.config.constants import UPRIGHT_COSINE
 
-__all__ = ["Footprint", "Footprints"]
+__all__ = ["Footprint", "Footprints", "Obstacles"]
 
-F64 = NDArray[np.float64]
 
 ROUNDING: Final = 1e-6
 """Largest deviation in metres of a sampled curve from the exact one."""
@@ -114,6 +113,10 @@ class Footprint:
             away = corner + offset * np.array([np.cos(end), np.sin(end)])
             pieces.append(away + np.arange(count)[:, None] / count * side)
         return np.asarray(self.center + np.concatenate(pieces) @ self.axes, dtype=np.float64)
+
+
+Obstacles = Sequence[tuple[SceneObject, Footprint]]
+"""Furniture that the navmesh ignores, each thing with its footprint."""
 
 
 class Footprints:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Polygon, contains_xy
 
-from condvln.episodes.footprint import Footprint
+from condvln.arrays import F64
+from condvln.episodes.footprint import Footprint, Obstacles
 from condvln.episodes.view import SceneView
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.protocol import PathfinderProtocol
@@ -32,7 +33,6 @@ from schemas.config.constants import (
 
 __all__ = ["blocked_footprints", "goal_points", "is_standable", "scene_goals", "wide_islands"]
 
-F64 = NDArray[np.float64]
 Sight = tuple[SceneView, Recognition]
 
 
@@ -120,7 +120,7 @@ def scene_goals(
     pathfinder: Pathfinder,
     places: PlacesConfig,
     rules: GoalsConfig,
-    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    obstacles: Obstacles = (),
     sight: Sight | None = None,
     named: Container[str] | None = None,
 ) -> dict[str, F64]:
@@ -145,7 +145,7 @@ def goal_points(
     pathfinder: Pathfinder,
     places: PlacesConfig,
     rules: GoalsConfig,
-    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    obstacles: Obstacles = (),
     sight: Sight | None = None,
 ) -> F64:
     """Return at most ``rules.points`` navigable points (k, 3) around `item`, sorted by distance to its box; empty if no
@@ -211,7 +211,7 @@ def _standing_places(
     reach: float,
     pathfinder: Pathfinder,
     places: PlacesConfig,
-    obstacles: Sequence[tuple[SceneObject, Footprint]],
+    obstacles: Obstacles,
 ) -> F64:
     """Return the places (n, 3) on rings around an object at which an agent can stand, in ascending order.
 

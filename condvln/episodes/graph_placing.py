@@ -23,9 +23,8 @@ from condvln.seeding import generator
 from schemas.config import EpisodeConfig
 from schemas.program import Program
 
-__all__ = ["REASONS", "GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph", "viewpoint_stops"]
+__all__ = ["GraphLeaf", "GraphPlacement", "GraphPlacer", "NotOnGraph", "viewpoint_stops"]
 
-F64 = NDArray[np.float64]
 
 REACH: Final = 3.0
 """Largest distance in metres from an object's box to the viewpoint that represents it; R2R's success distance."""
@@ -45,17 +44,15 @@ neighbours.
 RULES: Final = EpisodeConfig()
 """Bounds of a route through its stops relative to the direct path: the defaults of placing on a navmesh."""
 
-REASONS: Final = {
-    "object_without_viewpoint": "no viewpoint within 3 m of the object (in its room, or around a room without any)",
-    "leaves_too_close": "two leaves are less than 3 m apart along the graph",
-    "one_viewpoint": "two consecutive stops share a viewpoint",
-    "no_start_in_range": "no start has every leaf 3 to 30 m away without a detour or another leaf on the way",
-}
-"""Reasons why a program can't be placed on a graph."""
-
 
 class NotOnGraph(Exception):
-    """A program can't be placed on the graph; the message is one of REASONS."""
+    """A program can't be placed on the graph; the message says why.
+
+    object_without_viewpoint : no viewpoint within 3 m of the object (in its room, or around a room without any)
+    leaves_too_close : two leaves are less than 3 m apart along the graph
+    one_viewpoint : two consecutive stops share a viewpoint
+    no_start_in_range : no start has every leaf 3 to 30 m away without a detour or another leaf on the way
+    """
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.episodes.goals import is_standable
 from condvln.episodes.observability import Observer
 from condvln.kept import kept
@@ -17,9 +17,6 @@ from schemas.config.constants import LEAD_INSIDE, SINK
 from schemas.program import Condition
 
 __all__ = ["LeadPlaces"]
-
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 class LeadPlaces:

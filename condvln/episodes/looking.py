@@ -21,6 +21,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.episodes.floor import standing_points
 from condvln.episodes.goals import wide_islands
 from condvln.episodes.observability import Observer, SightNeed, row_by_row
@@ -38,8 +39,6 @@ from schemas.program import Program
 
 __all__ = ["LookingPath", "LookingPaths"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SPACING: Final = 0.75
 """Metres between the places from which the plan looks; the walk looks from where it first can on the way to them."""

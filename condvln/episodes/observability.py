@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.episodes.floor import floor_points
-from condvln.episodes.footprint import Footprint
+from condvln.episodes.footprint import Obstacles
 from condvln.episodes.goals import wide_islands
 from condvln.episodes.placing import Outlook
 from condvln.episodes.view import SceneView
@@ -29,7 +29,7 @@ from condvln.kept import kept
 from condvln.labels import vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
 from condvln.navigation.sight import EDGE, Recognition, SightTarget, View, eyes_at, in_view, visible_extent
-from condvln.scene import Scene, SceneObject
+from condvln.scene import Scene
 from condvln.scene.scene import EVERYTHING_SEEN, Sightings
 from schemas.config import EpisodeConfig, PlacesConfig
 from schemas.config.constants import EYE_SPACING, LEVEL_CAMERA, PREFIX_SAMPLES, PREFIX_STRAY
@@ -38,8 +38,6 @@ from schemas.program import Condition, Program
 
 __all__ = ["FIRST_VIEW", "Observation", "Observer", "SightNeed", "common_prefix", "places_at", "row_by_row"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 DIGITS: Final = 2
 """Decimals of published degrees."""
 FIRST_VIEW: Final = "O0f"
@@ -91,7 +89,7 @@ class Observer:
         pathfinder: PathfinderProtocol,
         places: PlacesConfig,
         rules: EpisodeConfig,
-        obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+        obstacles: Obstacles = (),
         sightings: Sightings = EVERYTHING_SEEN,
     ) -> None:
         self._scene, self._view, self._pathfinder = scene, view, pathfinder

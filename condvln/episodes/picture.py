@@ -17,6 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.episodes.footprint import Footprint
 from condvln.episodes.observability import places_at
 from condvln.formats.streams import write_figure
@@ -29,7 +30,6 @@ from schemas.program import Condition, Program
 
 __all__ = ["Label", "draw_episode", "place_labels", "wall_lines"]
 
-F64 = NDArray[np.float64]
 
 GAP: Final = 2.0
 """Least distance between two labels, pixels."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.episodes.facing import HEADINGS, Facings, Headings
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.goals import blocked_footprints, is_standable, wide_islands
@@ -42,7 +43,6 @@ __all__ = [
     "yaw_quaternion",
 ]
 
-F64 = NDArray[np.float64]
 
 COMPASS_STEP: Final = math.pi / 4
 """Yaw step in radians of texts that name the start heading: the eight compass points."""

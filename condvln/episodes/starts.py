@@ -9,8 +9,8 @@ from itertools import accumulate, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, I64, Bools
 from condvln.episodes.footprint import Footprints
 from condvln.episodes.kernels.distances import apart_objects
 from condvln.episodes.kernels.starts import (
@@ -39,10 +39,6 @@ __all__ = [
     "Route",
     "Starts",
 ]
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.kept import kept
 from condvln.labels import vocabulary
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
@@ -15,9 +16,6 @@ from condvln.scene.scene import STRUCTURE, SceneGeometry
 from schemas.config.constants import FRAME_HEADROOM
 
 __all__ = ["SceneView"]
-
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 class SceneView:

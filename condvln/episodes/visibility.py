@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.episodes.floor import standing_points
-from condvln.episodes.footprint import Footprint
+from condvln.episodes.footprint import Obstacles
 from condvln.episodes.view import SceneView
 from condvln.labels import vocabulary
 from condvln.navigation.protocol import PathfinderProtocol
@@ -30,8 +30,6 @@ from schemas.tables import VISIBILITY
 
 __all__ = ["Visibility", "scene_visibility", "sightings_from_table", "visibility_table"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 FIRST_PLACES: Final = 32
 """Number of positions from which every object is looked for; the others are used only if these do not suffice."""
@@ -69,7 +67,7 @@ def scene_visibility(
     islands: Sequence[int],
     eye_height: float,
     rule: Recognition,
-    obstacles: Sequence[tuple[SceneObject, Footprint]] = (),
+    obstacles: Obstacles = (),
 ) -> list[Visibility]:
     """Return the visibility of every object that is not part of the building, sorted by id.
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from condvln.arrays import F64
 from condvln.evaluation.evaluate import SWEPT, Evaluation
 from condvln.evaluation.metrics import METRICS
 from condvln.evaluation.task import Task
@@ -208,7 +209,6 @@ _KEPT_SCENES: Final = 64
 _EXACT_SCENES: Final = 13
 """Up to this many scenes, all sign patterns are enumerated (8,192) instead of drawn."""
 
-Values = npt.NDArray[np.float64]
 Labels = npt.NDArray[Any] | Sequence[Any]
 
 
@@ -233,7 +233,7 @@ class Estimate:
 
 
 def estimate(
-    values: Values, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES, confidence: float = CONFIDENCE
+    values: F64, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES, confidence: float = CONFIDENCE
 ) -> Estimate:
     """Return the mean over the episodes where ``values`` (n,) is defined, with a bootstrap interval over scenes."""
     defined = np.isfinite(values)
@@ -253,7 +253,7 @@ def estimate(
     return Estimate(mean, float(low), float(high), n, total, len(names))
 
 
-def _drawn(seed: int, scenes: int, replicates: int) -> Values:
+def _drawn(seed: int, scenes: int, replicates: int) -> F64:
     """Return how often each scene is drawn in each replicate (replicates, scenes); it is read only."""
     draws = np.random.default_rng(seed).multinomial(scenes, np.full(scenes, 1 / scenes), size=replicates)
     found = draws.astype(np.float64)
@@ -283,9 +283,7 @@ class PairedTest:
     exact: bool
 
 
-def paired_test(
-    first: Values, second: Values, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES
-) -> PairedTest:
+def paired_test(first: F64, second: F64, scenes: Labels, *, seed: int = 0, replicates: int = REPLICATES) -> PairedTest:
     """Test whether the scores of two agents differ. Under the null hypothesis, the scores of the two agents can be
     swapped in any scene.
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, StrictInt, StrictStr, TypeAdapter, ValidationError
 
 from condvln.evaluation.evaluate import AXES, SWEPT, Evaluation, columns_of
@@ -50,7 +49,6 @@ __all__ = [
 
 NAN: Final = float("nan")
 _R2R_REMEDY: Final = "Name an R2R file: [{path_id, scan, path, instructions}, ...]"
-Table = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from condvln.arrays import F64
+
 if TYPE_CHECKING:
     from condvln.navigation.pathfinder import Pathfinder
 
@@ -28,7 +30,6 @@ __all__ = [
     "SnappedPath",
 ]
 
-Points = npt.NDArray[np.float64]
 
 SLACK: Final = 0.01
 """Metres added to the radius before a position is skipped, for float32 sums and points up to 1 cm off the mesh."""
@@ -60,8 +61,8 @@ class SnappedPath:
     point.
     """
 
-    positions: Points
-    snapped: Points
+    positions: F64
+    snapped: F64
     moved: npt.NDArray[np.bool_]
 
     @property
@@ -78,7 +79,7 @@ class Nearness:
         self._pathfinder = pathfinder
         self._prune = prune
 
-    def snap(self, positions: Points) -> SnappedPath:
+    def snap(self, positions: F64) -> SnappedPath:
         """Return a path together with the snapped position of each point: the form in which the methods below accept
         paths.
         """
@@ -89,14 +90,14 @@ class Nearness:
         shift = np.sqrt(np.square(snapped - positions).sum(axis=1))
         return SnappedPath(positions, snapped, shift > SNAPPED)
 
-    def distance(self, point: Points, goals: Points) -> float:
+    def distance(self, point: F64, goals: F64) -> float:
         """Return the distance in metres from ``point`` (3,) to the nearest of ``goals`` (k, 3), as habitat-sim's
         multi-goal query does.
         """
         found = float(self._pathfinder.geodesic_distance(point, goals))
         return found if np.isfinite(found) else float("inf")
 
-    def steps(self, path: SnappedPath, forward: float) -> tuple[Points, npt.NDArray[np.bool_]]:
+    def steps(self, path: SnappedPath, forward: float) -> tuple[F64, npt.NDArray[np.bool_]]:
         """Return the length in metres of each step of a path (n − 1,), and which steps no single action can have made:
         those longer than the action ``forward`` (metres) allows, and those that a wall stops.
 
@@ -122,13 +123,13 @@ class Nearness:
             lengths[far] = np.where(gaps[far], found, lengths[far])
         return lengths, gaps
 
-    def ever_within(self, path: SnappedPath, goals: Points, radius: float) -> bool:
+    def ever_within(self, path: SnappedPath, goals: F64, radius: float) -> bool:
         """Return whether any position of ``path`` is less than ``radius`` metres from any of ``goals``."""
         candidates, straight = self._candidates(path, goals, radius)
         order = candidates[np.argsort(straight[candidates], kind="stable")]
         return any(self.distance(path.positions[at], goals) < radius for at in order)
 
-    def first_within(self, path: SnappedPath, goal: Points, radius: float, begin: int = 0) -> int | None:
+    def first_within(self, path: SnappedPath, goal: F64, radius: float, begin: int = 0) -> int | None:
         """Return the index of the first position, from index ``begin`` on, that is less than ``radius`` metres from
         ``goal`` (3,); None if there is none.
         """
@@ -140,7 +141,7 @@ class Nearness:
         near = candidates[distances < radius]
         return int(near[0]) if len(near) else None
 
-    def _candidates(self, path: SnappedPath, goals: Points, radius: float) -> tuple[npt.NDArray[np.intp], Points]:
+    def _candidates(self, path: SnappedPath, goals: F64, radius: float) -> tuple[npt.NDArray[np.intp], F64]:
         """Return the indices of the positions on ``path`` whose geodesic distance to the goals must be computed, and
         the straight-line distance of every position on ``path`` to the nearest snapped goal.
         """

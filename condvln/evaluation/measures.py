@@ -14,6 +14,7 @@ import numpy.typing as npt
 import shapely
 from scipy.spatial import cKDTree
 
+from condvln.arrays import F64
 from condvln.evaluation.goal_distances import Nearness, SnappedPath
 from schemas.errors import UsageError
 from schemas.program import Program, leaf_truths
@@ -37,7 +38,6 @@ __all__ = [
     "without_repeats",
 ]
 
-Points = npt.NDArray[np.float64]
 
 FIDELITY_DISTANCE: Final = 3.0
 """Metres; the distance threshold of nDTW and CLS in R2R and VLN-CE, independent of the success distance."""
@@ -49,12 +49,12 @@ _NOTHING: Final = 1e-6
 """Length in metres below which a path counts as having no length."""
 
 
-def path_length(positions: Points) -> float:
+def path_length(positions: F64) -> float:
     """Return the sum of the Euclidean steps of a path (n, 3), in metres."""
     return float(np.sqrt(np.square(np.diff(positions, axis=0)).sum(axis=1)).sum())
 
 
-def without_repeats(positions: Points) -> Points:
+def without_repeats(positions: F64) -> F64:
     """Return a path without consecutive equal points. Turning on the spot creates such points."""
     if len(positions) == 0:
         return positions
@@ -75,7 +75,7 @@ def spl(success: bool, shortest: float, length: float) -> float:
     return shortest / max(shortest, length)
 
 
-def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *, fast: bool = False) -> float:
+def ndtw(path: F64, reference: F64, distance: float = FIDELITY_DISTANCE, *, fast: bool = False) -> float:
     """Return the normalised dynamic time warping: exp(−DTW(P, R) ÷ (|R| · d)), where P is `path`, R is `reference` and
     d is `distance` in metres.
 
@@ -93,7 +93,7 @@ def ndtw(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *
     return float(np.exp(-total / (len(reference) * distance)))
 
 
-def dtw(path: Points, reference: Points) -> float:
+def dtw(path: F64, reference: F64) -> float:
     """Return the least sum of Euclidean distances, in metres, over all monotone alignments of two paths (n, 3) and
     (m, 3).
     """
@@ -103,14 +103,14 @@ def dtw(path: Points, reference: Points) -> float:
     )
 
 
-def dtw_of_costs(costs: Points) -> float:
+def dtw_of_costs(costs: F64) -> float:
     """Return the same sum as :func:`dtw`, computed from given distances (n, m) between the points, such as distances on
     a graph.
     """
     return _least_sum(lambda rows, columns: costs[rows, columns], *costs.shape)
 
 
-def _least_sum(cost: Callable[[npt.NDArray[np.intp], npt.NDArray[np.intp]], Points], n: int, m: int) -> float:
+def _least_sum(cost: Callable[[npt.NDArray[np.intp], npt.NDArray[np.intp]], F64], n: int, m: int) -> float:
     """Return the least sum of the costs on a monotone path through a table (n, m), from its first to its last cell.
 
     The table is filled by diagonals, whose cells do not depend on each other; the last three are kept.
@@ -126,7 +126,7 @@ def _least_sum(cost: Callable[[npt.NDArray[np.intp], npt.NDArray[np.intp]], Poin
     return float(last[n])
 
 
-def _fast_dtw(path: Points, reference: Points) -> float:
+def _fast_dtw(path: F64, reference: F64) -> float:
     try:
         from fastdtw import fastdtw
     except ImportError as error:
@@ -134,7 +134,7 @@ def _fast_dtw(path: Points, reference: Points) -> float:
     return float(fastdtw(path, reference, radius=1, dist=2)[0])
 
 
-def cls(path: Points, reference: Points, distance: float = FIDELITY_DISTANCE, *, length: float | None = None) -> float:
+def cls(path: F64, reference: F64, distance: float = FIDELITY_DISTANCE, *, length: float | None = None) -> float:
     """Return the coverage weighted by length score (CLS). ``length`` is that of the path in metres, by default the sum
     of its straight steps.
 
@@ -189,7 +189,7 @@ as in the authors' fork of Open-Nav, or in any order by straight lines as in the
 
 
 def reached_in_order(
-    nearness: Nearness, path: SnappedPath, subgoals: Points, radius: float, outlines: Sequence[Points | None] = ()
+    nearness: Nearness, path: SnappedPath, subgoals: F64, radius: float, outlines: Sequence[F64 | None] = ()
 ) -> int:
     """Return the length of the longest prefix of ``subgoals`` (m, 3) reached in order, within a geodesic ``radius``
     (metres) or in the room of a lead.
@@ -209,7 +209,7 @@ def reached_in_order(
     return prefix_in_order(len(subgoals), first)
 
 
-def _first_inside(positions: Points, outline: Points, subgoal: Points, begin: int) -> int | None:
+def _first_inside(positions: F64, outline: F64, subgoal: F64, begin: int) -> int | None:
     """Return the first of ``positions`` (n, 3), from index ``begin`` on, on the floor of the subgoal's room."""
     room = shapely.make_valid(shapely.Polygon(outline))
     level = np.abs(positions[begin:, 1] - subgoal[1]) <= ROOM_HEIGHT
@@ -232,7 +232,7 @@ def prefix_in_order(subgoals: int, first_from: Callable[[int, int], int | None])
     return subgoals
 
 
-def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
+def reached_in_order_euclidean(positions: F64, subgoals: F64, radius: float) -> int:
     """Return the number of subgoals reached in order, as the authors' fork of Open-Nav counts them: a subgoal is
     reached at a straight-line distance in 3-D of at most ``radius`` metres, and one pose reaches at most one subgoal.
     Compare :func:`reached_in_order`.
@@ -245,7 +245,7 @@ def reached_in_order_euclidean(positions: Points, subgoals: Points, radius: floa
     return reached
 
 
-def reached_in_any_order_euclidean(positions: Points, subgoals: Points, radius: float) -> int:
+def reached_in_any_order_euclidean(positions: F64, subgoals: F64, radius: float) -> int:
     """Return the number of subgoals reached in any order, as the authors' fork of VLN-Zero counts them: a subgoal is
     reached at a straight-line distance in 3-D of at most ``radius`` metres, and one pose may reach several subgoals.
     """

@@ -4,10 +4,10 @@ names in other evaluators' files are made. `condvln.evaluation.score` computes t
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Final, Literal
+
+from condvln.own_tables import own_rows
 
 __all__ = ["METRICS", "Better", "Kind", "Metric", "Shown", "keys_of", "metrics_of"]
 
@@ -43,13 +43,12 @@ class Metric:
 
 
 def _read() -> tuple[Metric, ...]:
-    table = files("condvln.evaluation").joinpath("metrics.csv").read_text(encoding="utf-8")
     listed, said = ("shown", "theirs"), ("yes_or_no",)
     return tuple(
         Metric(
             **row | {name: tuple(row[name].split()) for name in listed} | {name: row[name] == "yes" for name in said}
         )
-        for row in csv.DictReader(table.splitlines())
+        for row in own_rows("condvln.evaluation", "metrics.csv")
     )
 
 

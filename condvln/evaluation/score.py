@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from condvln.evaluation.goal_distances import Nearness, SnappedPath
 from condvln.evaluation.measures import (
@@ -30,6 +29,7 @@ from schemas.errors import FormatError
 
 if TYPE_CHECKING:
     from condvln.navigation.pathfinder import Pathfinder
+from condvln.arrays import F64
 from schemas.program import leaf_truths
 
 __all__ = ["START_TOLERANCE", "Score", "ScoreRules", "Sees", "branch_measures", "score"]
@@ -40,7 +40,6 @@ one means another episode or another frame.
 """
 
 NAN: Final = float("nan")
-Points = npt.NDArray[np.float64]
 Sees = Callable[[Prediction], Sequence[int | None]]
 """Returns, for each condition on the gold route in order, the first pose of a walk at which the evidence seen so far
 decides it; None if there is none.
@@ -191,7 +190,7 @@ def score(
 
 
 def _fidelity(
-    suffix: str, positions: Points, reference: Points, success: bool, length: float, rules: ScoreRules
+    suffix: str, positions: F64, reference: F64, success: bool, length: float, rules: ScoreRules
 ) -> dict[str, Any]:
     """Return nDTW, SDTW and CLS against a reference (r, 3), under their names in `Score`."""
     found = ndtw(positions, reference, rules.fidelity_distance, fast=rules.fast_dtw)
@@ -199,7 +198,7 @@ def _fidelity(
     return {f"ndtw{suffix}": found, f"sdtw{suffix}": success * found, f"cls{suffix}": coverage}
 
 
-def _looking(task: Task, positions: Points, success: bool, length: float, rules: ScoreRules) -> dict[str, Any]:
+def _looking(task: Task, positions: F64, success: bool, length: float, rules: ScoreRules) -> dict[str, Any]:
     """Return the measures against the looking path, under their names in `Score`."""
     if task.looking is None:
         return dict.fromkeys(LOOKING, NAN)
@@ -221,7 +220,7 @@ def _in_time(task: Task, walk: _Walk, nearness: Nearness, radius: float, decided
     )
 
 
-def _committing(task: Task) -> Iterator[Points]:
+def _committing(task: Task) -> Iterator[F64]:
     """Yield, for each condition on the gold route in order, the stops and goals (k, 3) that only the leaves below its
     answer have.
     """
@@ -312,7 +311,7 @@ def _leaf(task: Task, walk: _Walk, nearness: Nearness, radius: float) -> int:
     return committed_leaf([nearness.distance(end, leaf.goals) for leaf in task.leaves], radius)
 
 
-def _straight(point: Points, goals: Points) -> float:
+def _straight(point: F64, goals: F64) -> float:
     return float(np.sqrt(np.square(goals - point).sum(axis=1)).min())
 
 

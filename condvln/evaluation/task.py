@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
-from condvln.export.splits import observability_class, route_class, words_class
+from condvln.arrays import F64
+from condvln.export.splits import SHAPE_AXES, observability_class, route_class, words_class
 from condvln.formats.json_entries import entries, parsed
 from condvln.manifest import read_manifest
 from condvln.navigation.points import densify
@@ -22,21 +22,8 @@ from schemas.vlnce import GroundTruth
 
 __all__ = ["AXES", "LeafTask", "LookingTask", "Task", "read_ground_truth", "read_tasks", "task_of"]
 
-Points = npt.NDArray[np.float64]
 
-AXES: Final = (
-    "source",
-    "scene",
-    "category",
-    "depth",
-    "chain",
-    "composition",
-    "observability",
-    "moves",
-    "leads",
-    "route",
-    "words",
-)
+AXES: Final = ("source", "scene", *SHAPE_AXES)
 """Columns by which scores can be grouped."""
 
 
@@ -50,18 +37,18 @@ class LeafTask:
         that is a point
     """
 
-    goals: Points
-    subgoals: Points
+    goals: F64
+    subgoals: F64
     route_length: float
     geodesic_distance: float
-    path: Points
+    path: F64
     objects: tuple[str, ...]
-    outlines: tuple[Points | None, ...] = ()
+    outlines: tuple[F64 | None, ...] = ()
 
     @property
-    def end(self) -> Points:
+    def end(self) -> F64:
         """The goal point (3,) at the end of the leaf's path."""
-        found: Points = self.goals[np.square(self.goals - self.path[-1]).sum(axis=1).argmin()]
+        found: F64 = self.goals[np.square(self.goals - self.path[-1]).sum(axis=1).argmin()]
         return found
 
 
@@ -72,7 +59,7 @@ class LookingTask:
     reference : (r, 3) dense locations, metres; length : metres; actions : those of the walk along it, the last is STOP
     """
 
-    reference: Points
+    reference: F64
     length: float
     actions: tuple[int, ...]
 
@@ -98,9 +85,9 @@ class Task:
     program: Program
     gold_leaf: int
     leaves: tuple[LeafTask, ...]
-    start: Points
+    start: F64
     start_rotation: tuple[float, float, float, float]
-    reference: Points
+    reference: F64
     success_distance: float
     max_steps: int
     navmesh: str
@@ -132,7 +119,7 @@ class Task:
         return self.leaves[self.gold_leaf]
 
 
-def task_of(row: ManifestEpisode, locations: Points | None = None, looking: Points | None = None) -> Task:
+def task_of(row: ManifestEpisode, locations: F64 | None = None, looking: F64 | None = None) -> Task:
     """Return the task of a manifest row; without ``locations``, and those of the ``looking`` path, the densified paths
     are the references.
     """
@@ -175,7 +162,7 @@ def task_of(row: ManifestEpisode, locations: Points | None = None, looking: Poin
     )
 
 
-def _looking(row: ManifestEpisode, locations: Points | None) -> LookingTask | None:
+def _looking(row: ManifestEpisode, locations: F64 | None) -> LookingTask | None:
     if row.looking_path is None or row.looking_length is None or row.looking_actions is None:
         return None
     reference = densify(row.looking_path) if locations is None else locations
@@ -192,7 +179,7 @@ def read_tasks(manifest: Path, ground_truth: Path | None = None, looking: Path |
     """
     truths, looked = (None if path is None else read_ground_truth(path) for path in (ground_truth, looking))
 
-    def locations(row: ManifestEpisode, found: dict[str, Points] | None, path: Path | None) -> Points | None:
+    def locations(row: ManifestEpisode, found: dict[str, F64] | None, path: Path | None) -> F64 | None:
         if found is not None and str(row.episode_id) not in found:
             raise _damaged(manifest, f"episode {row.episode_id}", f"has no entry in {path}")
         return None if found is None else found[str(row.episode_id)]
@@ -202,7 +189,7 @@ def read_tasks(manifest: Path, ground_truth: Path | None = None, looking: Path |
         yield task_of(row, locations(row, truths, ground_truth), along)
 
 
-def read_ground_truth(path: Path) -> dict[str, Points]:
+def read_ground_truth(path: Path) -> dict[str, F64]:
     """Return the locations (r, 3) in metres of each episode of a ``_gt`` file.
 
     Raises

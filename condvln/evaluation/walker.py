@@ -14,6 +14,7 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from condvln.arrays import F64
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.task import Task
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE, ActionSpace, Follower
@@ -25,7 +26,6 @@ from schemas.errors import UsageError
 
 __all__ = ["Eyes", "Observation", "Policy", "SeenObject", "SteppedEpisode", "heading_of", "labels_in_view", "walk"]
 
-Points = npt.NDArray[np.float64]
 
 SIGHT: Final = 5.0
 """Viewing distance in metres of the agent (VLN-CE's fog of war)."""
@@ -50,7 +50,7 @@ class Observation:
 
     episode_id: str
     instruction: str
-    position: Points
+    position: F64
     heading: float
     step: int
     max_steps: int
@@ -76,7 +76,7 @@ class SeenObject:
     center: tuple[float, float, float]
 
 
-Eyes = Callable[[Task, Points, float], tuple[str, ...]]
+Eyes = Callable[[Task, F64, float], tuple[str, ...]]
 """Returns the labels in view from a position and heading."""
 
 
@@ -93,7 +93,7 @@ def labels_in_view(objects: Mapping[str, Sequence[SeenObject]], pathfinder_of: C
     """
     cosine = math.cos(math.radians(FIELD_OF_VIEW / 2))
 
-    def look(task: Task, position: Points, heading: float) -> tuple[str, ...]:
+    def look(task: Task, position: F64, heading: float) -> tuple[str, ...]:
         seen = objects.get(str(task.axes["scene"]), ())
         if not seen:
             return ()
@@ -189,7 +189,7 @@ class SteppedEpisode:
         self._collisions: list[bool] = [False]
 
     @property
-    def position(self) -> Points:
+    def position(self) -> F64:
         """The agent's position (3,) in metres, in Habitat's frame."""
         return self._positions[-1].astype(np.float64)
 

@@ -5,15 +5,16 @@ tools load the manifests directly. All numbers come from the export's report.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from importlib.resources import files
+from collections.abc import Sequence, Set
+from string import Template
 from typing import Any, Final
 
 import orjson
 import yaml
 
 from condvln.export.report import ExportReport
-from condvln.export.splits import OBSERVED, SPLITS
+from condvln.export.splits import OBSERVED, SHAPE_AXES, SPLITS
+from condvln.own_tables import own_rows, own_text
 from condvln.sources.family import FAMILIES, composed_datasets
 from schemas.program import CATEGORIES
 
@@ -23,45 +24,33 @@ _NAME: Final = "CondVLN"
 
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _LARGEST: Final = "1M<n<10M"
-_AXES: Final = (
-    "category",
-    "depth",
-    "chain",
-    "composition",
-    "observability",
-    "moves",
-    "leads",
-    "route",
-    "words",
-    "success_distance",
-    "source",
-)
+_AXES: Final = (*SHAPE_AXES, "success_distance", "source")
 
 
 def dataset_card(report: ExportReport) -> str:
-    """Return the dataset card of an export; equal reports give equal text."""
-    sections = [
-        _front_matter(report),
-        f"# {_NAME}",
-        _introduction(report),
-        "## Files",
-        _FILES % (_R2R if report.r2r_episodes else "", _PLANS if report.pictures else ""),
-        _meshes(report),
-        "## Episodes",
-        _counts(report),
-        "## Examples",
-        _examples(report),
-        *_pictures(report),
-        "## Balance",
-        _balance(report),
-        "## Bias",
-        _bias(report),
-        "## Licences",
-        _licences(report),
-        "## Datasheet",
-        _datasheet(report),
-    ]
-    return "\n\n".join(sections) + "\n"
+    """Return the dataset card of an export, ``dataset_card.md`` filled in; equal reports give equal text."""
+    scenes = {scene for found in report.scenes.values() for scene in found}
+    composed = composed_datasets(scenes)
+    return Template(own_text("condvln.export", "dataset_card.md")).substitute(
+        front_matter=_front_matter(report),
+        episodes=f"{sum(report.episodes.values()):,}",
+        scenes=f"{len(scenes):,}",
+        snapshot=report.snapshot,
+        r2r=_R2R if report.r2r_episodes else "",
+        plans=_PLANS if report.pictures else "",
+        composed=_COMPOSED % ", ".join(composed) if composed else "",
+        counts=_counts(report),
+        examples="\n".join(
+            f"* {category} (episode {report.examples[category][0]}): “{report.examples[category][1]}”"
+            for category in CATEGORIES  # one text of each, as it is in the files
+            if category in report.examples
+        ),
+        pictures=_pictures(report),
+        balance=_balance(report),
+        bias=_bias(report),
+        licences=_licences({scene.split("/", 1)[0] for scene in scenes}),
+        budget=_budget(report),
+    )
 
 
 def _front_matter(report: ExportReport) -> str:
@@ -97,34 +86,6 @@ def _version(report: ExportReport) -> str:
     return f"1.{number >> 24}.{number & 0xFFFFFF}"
 
 
-def _introduction(report: ExportReport) -> str:
-    episodes, scenes = sum(report.episodes.values()), {scene for found in report.scenes.values() for scene in found}
-    return (
-        f"{episodes:,} navigation episodes in {len(scenes):,} indoor scenes whose instructions branch on what is "
-        "there: “If there's a coffee table in the kitchen, head to the stool north of the dishwasher, otherwise go "
-        "to the sink in the bathroom.” Every condition, target and distance was derived from the scene's geometry, "
-        f"and each episode knows the goals of *all* its branches. Snapshot `{report.snapshot}`."
-    )
-
-
-_FILES: Final = """\
-| path | content |
-|---|---|
-| `vlnce/<split>/` | stock R2R_VLNCE v1-3 episodes and dense ground truth; load in an unmodified VLN-CE |
-| `ansr/<split>/` | the same with top-level `subgoals` (dataset type ANSR-v1) |
-| `rxr/<split>/` | the same as RxR-VLN-CE guide files |
-| `vlnce_looking/<split>/`, `ansr_looking/`, `rxr_looking/` | the same ids and texts; reference and truth are the \
-looking path, which sees the evidence of each condition before it acts on it |
-| `oracle/<split>/` | the oracle-linear twin: only the instruction differs, it tells the right branch alone |
-%s| `manifest/<split>.jsonl` | programs, truths, gold leaf, goals of every leaf: never show it to an agent |
-| `navmeshes/` | navmeshes built for scenes that ship none |
-%s| `configs/` | configuration files for VLN-CE, habitat-lab and the agents that run on them |
-| `export.json` | counts per cell, what was left out and why, SHA-256 of every file |
-| `origin.json` | the configuration, the code's versions and the scenes that it was made of |
-
-Positions are metres in Habitat's frame (+Y up, −Z north), quaternions `[x, y, z, w]`."""
-
-
 _PLANS: Final = "| `pictures/` | the plans below |\n"
 _R2R: Final = (
     "| `r2r/` | discrete R2R over Matterport viewpoints, of the scans of Matterport3D; each path has its text three "
@@ -132,19 +93,10 @@ _R2R: Final = (
 )
 
 
-def _meshes(report: ExportReport) -> str:
-    text = (
-        "Scene meshes are not included: get them from their sources and put them below `data/scene_datasets/`, each "
-        "at the path that `scene_id` names."
-    )
-    composed = composed_datasets(scene for found in report.scenes.values() for scene in found)
-    if composed:
-        text += (
-            f" Of {', '.join(composed)}, which come in parts, `condvln export CONFIG --compose data/scene_datasets` "
-            "makes these files on your own disk, each with its navmesh; with `--own-navmesh` it is the one on which "
-            "the episodes were placed."
-        )
-    return text
+_COMPOSED: Final = (
+    " Of %s, which come in parts, `condvln export CONFIG --compose data/scene_datasets` makes these files on your own "
+    "disk, each with its navmesh; with `--own-navmesh` it is the one on which the episodes were placed."
+)
 
 
 def _counts(report: ExportReport) -> str:
@@ -165,19 +117,10 @@ def _counts(report: ExportReport) -> str:
     return "\n".join(lines)
 
 
-def _examples(report: ExportReport) -> str:
-    """Return one text of each category, as it is in the files."""
-    return "\n".join(
-        f"* {category} (episode {report.examples[category][0]}): “{report.examples[category][1]}”"
-        for category in CATEGORIES
-        if category in report.examples
-    )
-
-
-def _pictures(report: ExportReport) -> list[str]:
-    """Return the plan of one episode for each source, with its text."""
+def _pictures(report: ExportReport) -> str:
+    """Return the section with the plan of one episode for each source, with its text."""
     if not report.pictures:
-        return []
+        return ""
     said = (
         "Plans with the start, the ways to all leaves (the gold one green), their stops and what the conditions ask "
         "about, drawn as `condvln show --picture` draws any episode."
@@ -185,17 +128,11 @@ def _pictures(report: ExportReport) -> list[str]:
     shown = (
         f"![plan of {path.rsplit('/', 1)[1].split('.')[0]}]({path})\n\n{text}" for path, text in report.pictures.items()
     )
-    return ["## Pictures", said, *shown]
+    return "\n" + "\n\n".join(["## Pictures", said, *shown]) + "\n"
 
 
 def _balance(report: ExportReport) -> str:
-    lines = [
-        "Within each split, source and category every gold leaf is equally frequent. Truths of conditions on one "
-        "label in one type of room are evened as far as the pool allows; the share that is left (0 = even, 1 = the "
-        "label tells the truth):",
-        "",
-        *(f"* {source}: {value:.3f}" for source, value in sorted(report.truth_imbalance.items())),
-    ]
+    lines = [f"* {source}: {value:.3f}" for source, value in sorted(report.truth_imbalance.items())]
     if report.left_out:
         left, pool = sum(report.left_out.values()), sum(report.episodes.values()) + sum(report.left_out.values())
         lines += ["", f"{left:,} of {pool:,} episodes are in no split:", ""]
@@ -235,34 +172,10 @@ def _bias(report: ExportReport) -> str:
     return "\n".join(lines)
 
 
-def _licences(report: ExportReport) -> str:
-    used = sorted({scene.split("/", 1)[0] for found in report.scenes.values() for scene in found})
-    lines = ["| source | terms | credit |", "|---|---|---|"]
-    for family in used:
-        known = FAMILIES.get(family)
-        lines.append(_row([known.name, known.terms, known.credit]) if known else _row([family, "unknown", ""]))
-    lines += [
-        "",
-        "Text and coordinates here are derived from these datasets; their terms apply to the use of this one.",
-    ]
-    return "\n".join(lines)
-
-
-def _datasheet(report: ExportReport) -> str:
-    return f"""\
-* **Motivation.** Instructions that people give depend on what is found on the way; benchmarks of plain instructions
-  can't tell an agent that checks a condition from one that guesses.
-* **Composition.** One instance is an instruction, a start pose, a gold route with dense locations, and the goals of
-  every branch. {_budget(report)} Nothing in it relates to people.
-* **Collection.** Made by program from the sources' own annotations and geometry: relations by exact box and mesh
-  distances, routes on Habitat navmeshes, text from a grammar that a parser reads back. Nothing was labelled by hand.
-* **Preprocessing.** Candidates that break a rule (unreachable, ambiguous, near a threshold, too long) were dropped
-  and counted.
-* **Uses.** Evaluating and training vision-and-language navigation. Not a record of real homes' present state.
-* **Known limits.** English text from a grammar; annotation of scans is incomplete, so absence is claimed only in
-  rooms annotated completely enough; objects of unknown extent are used with more caution than others.
-* **Distribution and maintenance.** Rebuilt when a source changes; ids are content hashes and stay; `CHANGELOG.md`
-  tells what moved."""
+def _licences(families: Set[str]) -> str:
+    known = {family: FAMILIES.get(family) for family in sorted(families)}
+    rows = [[one.name, one.terms, one.credit] if one else [family, "unknown", ""] for family, one in known.items()]
+    return "\n".join(map(_row, rows))
 
 
 def _budget(report: ExportReport) -> str:
@@ -278,25 +191,6 @@ def _row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-_FIELDS: Final = (
-    ("episode_id", "sc:Integer", "id, made from the hash"),
-    ("episode_hash", "sc:Text", "hash of the episode's content"),
-    ("split", "sc:Text", "train, val_seen, val_unseen or test"),
-    ("source", "sc:Text", "dataset that the scene is from"),
-    ("scene_id", "sc:Text", "scene"),
-    ("category", "sc:Text", "shape of the decision tree"),
-    ("depth", "sc:Integer", "deepest THEN-nesting"),
-    ("chain", "sc:Integer", "tests in the top chain"),
-    ("composition", "sc:Text", "C0, C1 or C2: how rooms of conditions and leaves differ"),
-    ("instruction_text", "sc:Text", "what the agent is told"),
-    ("gold_leaf", "sc:Integer", "leaf that the truths of the conditions lead to"),
-    ("success_distance", "sc:Float", "metres"),
-    ("max_steps", "sc:Integer", "step budget"),
-    ("geodesic_distance", "sc:Float", "start to goal, metres"),
-    ("route_length", "sc:Float", "start to goal by way of the subgoals, metres"),
-)
-
-
 def croissant(report: ExportReport) -> dict[str, Any]:
     """Return the JSON-LD document of an export; every manifest is listed with its size and hash."""
     manifests = [f"manifest/{split}.jsonl" for split in SPLITS if report.episodes.get(split)]
@@ -304,7 +198,7 @@ def croissant(report: ExportReport) -> dict[str, Any]:
     terms = [f"{FAMILIES[family].name}: {FAMILIES[family].terms}" for family in families if family in FAMILIES]
     credits = [FAMILIES[family].credit for family in families if family in FAMILIES]
     return {
-        "@context": orjson.loads(files("condvln.export").joinpath("croissant_context.json").read_bytes()),
+        "@context": orjson.loads(own_text("condvln.export", "croissant_context.json")),
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
         "name": _NAME,
@@ -341,12 +235,10 @@ def _record_set(path: str) -> dict[str, Any]:
         "field": [
             {
                 "@type": "cr:Field",
-                "@id": f"{split}/{key}",
-                "name": key,
-                "description": description,
-                "dataType": kind,
-                "source": {"fileObject": {"@id": path}, "extract": {"column": key}},
+                "@id": f"{split}/{field['name']}",
+                **field,
+                "source": {"fileObject": {"@id": path}, "extract": {"column": field["name"]}},
             }
-            for key, kind, description in _FIELDS
+            for field in own_rows("condvln.export", "croissant_fields.csv")
         ],
     }

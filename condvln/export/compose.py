@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.glb_part import GlbPart, Primitive, read_part, shifted
@@ -31,13 +32,12 @@ from condvln.scene import MeshPart, Scene
 from condvln.scene.boxes import placement
 from condvln.scene.rotations import Z_UP_TO_HABITAT
 from condvln.scene.scene import FLOOR_COLOUR, STRUCTURE, WALL_COLOUR, SceneGeometry, label_colour
+from schemas.base import Json
 from schemas.config import AgentConfig
 from schemas.errors import InputError
 
 __all__ = ["GENERATOR", "ComposedScene", "GlbWriter", "compose_scene", "is_composed"]
 
-F64 = NDArray[np.float64]
-Tree = dict[str, Any]
 
 STAGE: Final = "stage"
 
@@ -189,7 +189,7 @@ class GlbWriter:
     """
 
     def __init__(self, frame: F64) -> None:
-        self._lists: dict[str, list[Tree]] = {
+        self._lists: dict[str, list[Json]] = {
             key: []
             for key in ("nodes", "meshes", "accessors", "bufferViews", "materials", "textures", "samplers", "images")
         }
@@ -232,7 +232,7 @@ class GlbWriter:
             number: dict[int, int] = {}
             parent = {child: own for own, node in enumerate(part.nodes) for child in node.children}
             for own, node in enumerate(part.nodes):  # parents come before their children
-                tree: Tree = dict(node.transform)
+                tree: Json = dict(node.transform)
                 if node.mesh is not None:
                     tree["mesh"] = node.mesh
                     self.triangles += self._triangles_of(node.mesh)
@@ -263,7 +263,7 @@ class GlbWriter:
         ------
         InputError : the file exceeds the size that `read_glb` accepts
         """
-        tree: Tree = {
+        tree: Json = {
             "asset": _ASSET,
             "scene": 0,
             "scenes": [{"nodes": [0]}],
@@ -282,7 +282,7 @@ class GlbWriter:
             )
         return data
 
-    def _node(self, tree: Tree, parent: int) -> int:
+    def _node(self, tree: Json, parent: int) -> int:
         number = len(self._lists["nodes"])
         self._lists["nodes"].append(tree)
         self._lists["nodes"][parent]["children"].append(number)
@@ -301,12 +301,12 @@ class GlbWriter:
             self._lists["materials"].append(material)
         return self._lists["materials"].index(material)
 
-    def _primitive(self, own: Primitive, materials: int) -> Tree:
+    def _primitive(self, own: Primitive, materials: int) -> Json:
         attributes = {"POSITION": self._accessor(own.points, bounded=True)}
         for name, rows in own.attributes.items():
             attributes[name] = self._accessor(rows, normalized=name in own.normalized)
         index = self._accessor(_indices(own.faces, len(own.points)), is_index=True)
-        tree: Tree = {"attributes": attributes, "indices": index, "mode": _TRIANGLES}
+        tree: Json = {"attributes": attributes, "indices": index, "mode": _TRIANGLES}
         return tree if own.material is None else tree | {"material": own.material + materials}
 
     def _accessor(
@@ -319,7 +319,7 @@ class GlbWriter:
         kind = (rows.dtype.str, rows.shape, is_index, normalized, bounded)
         key = (*kind, hashlib.sha256(data).digest())
         if key not in self._accessors:
-            tree: Tree = {
+            tree: Json = {
                 "bufferView": self._view(data, _INDICES if is_index else _VERTICES),
                 "componentType": _COMPONENTS[rows.dtype.str[1:]],
                 "count": len(rows),
@@ -334,7 +334,7 @@ class GlbWriter:
         return self._accessors[key]
 
     def _view(self, data: bytes, target: int | None) -> int:
-        tree: Tree = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)}
+        tree: Json = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)}
         if target is not None:
             tree["target"] = target
         self._binary += data + b"\0" * (-len(data) % 4)
@@ -347,7 +347,7 @@ def _indices(faces: NDArray[np.integer], vertices: int) -> NDArray[np.unsignedin
     return faces.reshape(-1).astype("<u2" if vertices < 1 << 16 else "<u4")
 
 
-def _placed_texture(texture: Tree, images: int, samplers: int) -> Tree:
+def _placed_texture(texture: Json, images: int, samplers: int) -> Json:
     made = dict(texture)
     if "source" in made:
         made["source"] += images

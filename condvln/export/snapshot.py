@@ -30,7 +30,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import orjson
 
 from condvln.bias import BiasGate
 from condvln.export.card import croissant, dataset_card
@@ -46,7 +45,7 @@ from condvln.export.tokens import Vocabulary
 from condvln.export.viewpoints import Graphs
 from condvln.export.vlnce import RXR_LANGUAGES
 from condvln.export.writer import ExportWriter, OracleText
-from condvln.formats.streams import atomic_stream, write_file
+from condvln.formats.streams import atomic_stream, indented, write_file
 from condvln.sources.family import composed_datasets
 from schemas.config import SplitsConfig
 from schemas.config.constants import STEP_CEILING
@@ -203,18 +202,14 @@ def export_snapshot(
         # The card, the metadata and the configuration files only restate the report.
         for path, text in (consumer_files(report) | {"README.md": dataset_card(report)}).items():
             _write(new, path, text.encode(), report)
-        _write(new, "croissant.json", _json(croissant(report)), report)
+        _write(new, "croissant.json", indented(croissant(report)), report)
         _write_changelog(out, new, published, before, generated)
         if complete is not None:
             complete(new, report)
         document = report.document()
         document["digest"] = document_digest(document)
-        write_file(new / INDEX, _json(document))
+        write_file(new / INDEX, indented(document))
     return report
-
-
-def _json(document: Mapping[str, Any]) -> bytes:
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
 
 
 def _chosen(

@@ -26,6 +26,7 @@ __all__ = [
     "GROUPS",
     "OBSERVED",
     "ROUTE_BOUNDS",
+    "SHAPE_AXES",
     "SPLITS",
     "WORD_BOUNDS",
     "Group",
@@ -37,6 +38,11 @@ __all__ = [
     "scene_group",
     "words_class",
 ]
+
+SHAPE_AXES: Final = (
+    *("category", "depth", "chain", "composition", "observability", "moves", "leads", "route", "words"),
+)
+"""What episodes are counted and scored by, besides their scene."""
 
 ROUTE_BOUNDS: Final = (5, 10, 20)
 """Route lengths in metres at which the next class begins; single rooms seldom reach the second."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from condvln.formats.glb import decoded, glb_chunks, own_buffers
 from condvln.formats.gltf_tree import ATTRIBUTES, CheckedNode, checked_tree
 from condvln.formats.json_document import JsonNode
+from schemas.base import Json
 from schemas.errors import FormatError
 
 if TYPE_CHECKING:
@@ -47,8 +48,6 @@ _LIMIT: Final = 1e6
 MAX_COPIES: Final = 2
 """Largest ratio of the bytes that all images read to the file's bytes."""
 
-Tree = dict[str, Any]
-
 
 @dataclass(frozen=True, slots=True)
 class Image:
@@ -65,9 +64,9 @@ class MaterialReader:
 
     def __init__(self, root: JsonNode, binary: bytes) -> None:
         self._root, self._binary = root, binary
-        self.materials: list[Tree] = []
-        self.textures: list[Tree] = []
-        self.samplers: list[Tree] = []
+        self.materials: list[Json] = []
+        self.textures: list[Json] = []
+        self.samplers: list[Json] = []
         self.images: list[Image] = []
         self.used: set[str] = set()
         self.required: set[str] = set()
@@ -90,11 +89,11 @@ class MaterialReader:
             self.materials.append(made)
         return self._number["materials", index] or 0
 
-    def _material(self, source: JsonNode) -> Tree:
-        made: Tree = {}
+    def _material(self, source: JsonNode) -> Json:
+        made: Json = {}
         shine = source.get("pbrMetallicRoughness")
         if shine is not None:
-            inner: Tree = {}
+            inner: Json = {}
             if "baseColorFactor" in shine:
                 inner["baseColorFactor"] = shine["baseColorFactor"].vector(4, _LIMIT).tolist()
             inner |= {k: shine[k].number(_LIMIT) for k in ("metallicFactor", "roughnessFactor") if k in shine}
@@ -117,8 +116,8 @@ class MaterialReader:
             self._uses(_UNLIT)
         return made
 
-    def _slots(self, source: JsonNode, names: tuple[str, ...]) -> Tree:
-        found: Tree = {}
+    def _slots(self, source: JsonNode, names: tuple[str, ...]) -> Json:
+        found: Json = {}
         for name in names:
             slot = source.get(name)
             texture = None if slot is None else self._texture(slot["index"])
@@ -126,14 +125,14 @@ class MaterialReader:
                 found[name] = {"index": texture} | self._placement(slot)
         return found
 
-    def _placement(self, slot: JsonNode) -> Tree:
+    def _placement(self, slot: JsonNode) -> Json:
         """Return the settings of a texture reference, without its index."""
-        made: Tree = {"texCoord": _one_of(slot["texCoord"], _COORDINATES)} if "texCoord" in slot else {}
+        made: Json = {"texCoord": _one_of(slot["texCoord"], _COORDINATES)} if "texCoord" in slot else {}
         made |= {key: slot[key].number(_LIMIT) for key in ("scale", "strength") if key in slot}
         extensions = slot.get("extensions")
         moved = None if extensions is None else extensions.get(_TRANSFORM)
         if moved is not None:
-            own: Tree = {k: moved[k].vector(2, _LIMIT).tolist() for k in ("offset", "scale") if k in moved}
+            own: Json = {k: moved[k].vector(2, _LIMIT).tolist() for k in ("offset", "scale") if k in moved}
             if "rotation" in moved:
                 own["rotation"] = moved["rotation"].number(_LIMIT)
             if "texCoord" in moved:
@@ -157,8 +156,8 @@ class MaterialReader:
                 self.textures.append(made)
         return self._number["textures", index]
 
-    def _image_of(self, source: JsonNode) -> Tree | None:
-        made: Tree = {}
+    def _image_of(self, source: JsonNode) -> Json | None:
+        made: Json = {}
         if source.get("source") is not None:
             image = self._image(source["source"])
             if image is not None:
@@ -217,10 +216,10 @@ class MaterialReader:
             self.required.add(extension)
 
 
-def shifted(material: Tree, textures: int) -> Tree:
+def shifted(material: Json, textures: int) -> Json:
     """Return a copy of a material whose texture numbers are increased by `textures`."""
 
-    def moved(inner: Tree, names: tuple[str, ...]) -> Tree:
+    def moved(inner: Json, names: tuple[str, ...]) -> Json:
         return {
             key: {**value, "index": value["index"] + textures} if key in names else value
             for key, value in inner.items()

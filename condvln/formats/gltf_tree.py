@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from condvln.formats.json_document import JsonNode
+from schemas.base import Json
 
 __all__ = [
     "ATTRIBUTES",
@@ -34,8 +35,6 @@ GLB_HEADER: Final = struct.Struct("<4sII")
 """Of a GLB file: its magic bytes, version and length in bytes."""
 GLB_CHUNK: Final = struct.Struct("<I4s")
 """Of a chunk of a GLB file: its length in bytes and its kind."""
-
-Tree = dict[str, Any]
 
 
 def packed_glb(text: bytes, binary: bytes) -> bytes:
@@ -96,9 +95,9 @@ class CheckedTree:
     materials: list[JsonNode | None] = field(default_factory=list)
     draco: list[DracoClaim | None] = field(default_factory=list)
     normalized: list[frozenset[str]] = field(default_factory=list)
-    _primitives: list[Tree] = field(default_factory=list)
-    _accessors: list[Tree] = field(default_factory=list)
-    _views: list[Tree] = field(default_factory=list)
+    _primitives: list[Json] = field(default_factory=list)
+    _accessors: list[Json] = field(default_factory=list)
+    _views: list[Json] = field(default_factory=list)
     _pieces: list[bytes] = field(default_factory=list)
 
     def to_glb(self) -> bytes:
@@ -106,7 +105,7 @@ class CheckedTree:
         ``node<n>``, with children ``node<n>_<j>`` if its mesh has several primitives. Attributes other than the
         position have an underscore before their name, so that they are returned unchanged.
         """
-        nodes: list[Tree] = [{"name": f"node{n}", **node.transform} for n, node in enumerate(self.nodes)]
+        nodes: list[Json] = [{"name": f"node{n}", **node.transform} for n, node in enumerate(self.nodes)]
         for n, node in enumerate(self.nodes):
             children = list(node.children)
             primitives = self.meshes[node.mesh] if node.mesh is not None else []
@@ -118,7 +117,7 @@ class CheckedTree:
                     nodes.append({"name": f"node{n}_{j}", "mesh": primitive})
             if children:
                 nodes[n]["children"] = children
-        tree: Tree = {
+        tree: Json = {
             "asset": {"version": "2.0"},
             "scene": 0,
             "scenes": [{"nodes": list(self.roots)}],
@@ -141,7 +140,7 @@ class CheckedTree:
 
     def add_accessor(self, component: int, kind: str, count: int, view: int | None) -> int:
         """Add an accessor, and return its number; without a view it is filled by an extension."""
-        own: Tree = {"componentType": component, "count": count, "type": kind}
+        own: Json = {"componentType": component, "count": count, "type": kind}
         if view is not None:
             own["bufferView"] = view
         self._accessors.append(own)
@@ -156,7 +155,7 @@ class CheckedTree:
         return int(self._accessors[accessor]["componentType"])
 
     def add_primitive(
-        self, own: Tree, material: JsonNode | None, normalized: frozenset[str], draco: DracoClaim | None
+        self, own: Json, material: JsonNode | None, normalized: frozenset[str], draco: DracoClaim | None
     ) -> int:
         """Add a primitive, and return its number."""
         self._primitives.append(own)
@@ -255,7 +254,7 @@ class _Checker:
 
     def _nodes(self) -> None:
         """Add the nodes reached from the default scene, parents first."""
-        transforms: list[Tree] = []
+        transforms: list[Json] = []
         meshes: list[int | None] = []
         children: list[list[int]] = []
         roots: list[int] = []
@@ -321,7 +320,7 @@ class _Checker:
         packed = None if extensions is None else extensions.get(_DRACO)
         if packed is not None and _DRACO not in self.required and self._is_stored(source):
             packed = None  # the file holds the same numbers uncompressed
-        own: Tree = {"attributes": {}, "mode": mode}
+        own: Json = {"attributes": {}, "mode": mode}
         scaled = set()
         for name in self.names:
             node = attributes.get(name)
@@ -371,7 +370,7 @@ class _Checker:
         nodes = [node for _, node in source["attributes"].items()] + list(filter(None, [source.get("indices")]))
         return all("bufferView" in self.lists["accessors"][n.index(len(self.lists["accessors"]))] for n in nodes)
 
-    def _draco(self, packed: JsonNode, attributes: Tree) -> Tree:
+    def _draco(self, packed: JsonNode, attributes: Json) -> Json:
         if find_spec("DracoPy") is None:
             packed.fail(
                 "the geometry is compressed with Draco, and DracoPy is not installed",
@@ -513,11 +512,11 @@ def _as_floats(rows: NDArray[Any], normalized: bool) -> NDArray[np.float32]:
     return np.maximum(rows / np.iinfo(rows.dtype).max, -1.0).astype("<f4")
 
 
-def _transform(node: JsonNode) -> Tree:
+def _transform(node: JsonNode) -> Json:
     """Check the numbers of a node's own transform and return it."""
     if "matrix" in node:
         return {"matrix": node["matrix"].vector(16, MAX_SCALE).tolist()}
-    kept: Tree = {}
+    kept: Json = {}
     for key, length in (("translation", 3), ("rotation", 4), ("scale", 3)):
         if key in node:
             kept[key] = node[key].vector(length, MAX_SCALE).tolist()

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import orjson
+
 from schemas.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ __all__ = [
     "atomic_copy",
     "atomic_path",
     "atomic_stream",
+    "indented",
     "sync",
     "write_figure",
     "write_file",
@@ -122,6 +125,11 @@ def atomic_stream(path: Path, level: int = GZIP_LEVEL, *, closing: bytes = b"") 
     except BaseException:
         stream.abandon()
         raise
+
+
+def indented(document: Any, option: int = 0) -> bytes:
+    """Return a JSON document as indented text, which ends with a line break; ``option`` is one of orjson's."""
+    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | option) + b"\n"
 
 
 def write_file(path: Path, data: bytes) -> Path:

@@ -15,7 +15,7 @@ from itertools import product
 from typing import Final
 
 from condvln.instructions.language import Language, Slot, Template
-from schemas.program import SHAPES, Category
+from schemas.program import SHAPES, Category, route_through
 
 __all__ = ["Finding", "findings"]
 
@@ -62,13 +62,10 @@ def findings(words: Language, category: Category, template: Template) -> Iterato
         yield Finding(text, str(doubt))
         return
     for truths in product((True, False), repeat=len(shape.branches)):
-        at = 0
-        while at >= 0:
-            branch = shape.branches[at]
-            at = branch.then if truths[branch.condition] else branch.otherwise
+        _, reached = route_through(shape.branches, truths)
         heard = [leaf for leaf, contexts in leaves.items() if any(_holds(c, truths) for c in contexts)]
-        if heard != [-1 - at]:
-            yield Finding(text, f"with conditions {truths} a listener goes to {heard}, not to leaf {-1 - at}")
+        if heard != [reached]:
+            yield Finding(text, f"with conditions {truths} a listener goes to {heard}, not to leaf {reached}")
 
 
 def written(template: Template) -> str:

@@ -11,7 +11,7 @@ import hashlib
 import re
 import statistics
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
@@ -22,6 +22,7 @@ from condvln.instructions.parsing import template_of
 from condvln.labels.lists import labels_with_role, worth
 from condvln.language.binding import findings
 from condvln.language.texts import InstructionText
+from condvln.own_tables import own_rows
 from schemas.errors import FormatError, InputError
 from schemas.program import CATEGORIES, Category
 
@@ -59,27 +60,9 @@ EGOCENTRIC_WORDS: Final = re.compile(
     r"\b(?:left|right|ahead|straight|behind you|in front of you)\b|\b(?:izquierda|derecha|delante de ti|detrás de ti)\b"
 )
 
-BANNED: Final[Mapping[str, re.Pattern[str]]] = {
-    name: re.compile(pattern)
-    for name, pattern in {
-        "after a no: if that is so": r"\bif that(?:'s| is) (?:so|true|the case)\b",
-        "or else, failing that": r"\b(?:or else|barring that|failing that|in (?:any|all|every) other cases?)\b",
-        "when that is not the case": r"\bwhen that is not the case\b",
-        "odd ifs": r"\b(?:provided|supposing|assuming|on condition that|in the event that|if it is true that)\b",
-        "happens to, one can find": r"\b(?:happens? to|one can find|turns? out to have|you can(?:'t|not)? find)\b",
-        "such a": r"\bsuch an?\b|\bthere (?:really is|is indeed)\b|\byou do find\b",
-        "moreover, though": r"\b(?:moreover|furthermore|besides|in addition|at the same time|though)\b",
-        "and yet, and if": r"\b(?:but on the other hand|and yet|and if)\b",
-        "look further": r"\b(?:look further|(?:decide|proceed) as follows|make one more check|take one more look)\b",
-        "situated, located": r"\b(?:situated|positioned|located)\b",
-        "up above, lower down": r"\b(?:straight above|up above|(?:lower down|higher up)(?! than\b))\b",
-        "holds, contains": r"\b(?:holds|contains|containing|which has|over in|that is in)\b",
-        "last of all, start by": r"\b(?:last of all|come to a stop|start by going|go first to)\b",
-        "all of this is about": r"\ball of this is about\b",
-        "has got, at least one": r"\b(?:has got|hasn't got|at least one|does have)\b",
-    }.items()
-}
-"""Regular expressions, by name, of phrases that test readers found hard; matched against lower-case text."""
+BANNED: Final = {row["name"]: re.compile(row["pattern"]) for row in own_rows("condvln.language", "avoid.csv")}
+"""Regular expressions, by name, of phrases that test readers found hard, from ``avoid.csv``; matched against lower-case
+text."""
 
 
 def words(text: str) -> list[str]:

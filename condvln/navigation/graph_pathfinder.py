@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from condvln.arrays import F64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.json_document import parse_json
 from condvln.navigation.points import one_point
@@ -109,7 +110,6 @@ def _error(file: Path, place: str, what: str) -> FormatError:
 
 # Largest distance in metres from a point to the viewpoint it snaps to: R2R's success radius, about 1.5 edges.
 SNAP_REACH = 3.0
-Lengths = npt.NDArray[np.float64]
 
 
 class GraphPathfinder:
@@ -178,11 +178,11 @@ class GraphPathfinder:
             total += self._weights[a, b]
         return total
 
-    def between(self, first: Sequence[int], second: Sequence[int]) -> Lengths:
+    def between(self, first: Sequence[int], second: Sequence[int]) -> F64:
         """Return the shortest distances in metres from each viewpoint of `first` to each of `second`, by their
         `numbers`, as a table (len(first), len(second)); infinite where there is no path.
         """
-        found: Lengths = self._lengths[np.ix_(first, second)]
+        found: F64 = self._lengths[np.ix_(first, second)]
         return found
 
     def along(self, path: Sequence[int]) -> float:

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from condvln.arrays import F64
 from schemas.errors import UsageError
 
 __all__ = ["DEFAULT_SAMPLES", "box_samples", "mesh_samples"]
 
-Points = npt.NDArray[np.float64]
 
 DEFAULT_SAMPLES = 64
 """Number of points per object: all miss a visible twentieth of its surface once in 27 times."""
@@ -32,7 +32,7 @@ def box_samples(
     rotation: npt.ArrayLike | None = None,
     count: int = DEFAULT_SAMPLES,
     seed: int = 0,
-) -> Points:
+) -> F64:
     """Return points (count, 3) on the faces of a box, distributed by area. The points of a flat box are on its two
     large faces.
 
@@ -59,11 +59,11 @@ def box_samples(
     slices, drawn = _draws(count, seed, "box")
     face, place = _by_area(area, slices), drawn.copy()
     place[np.arange(count), _FACE_AXIS[face]] = _FACE_SIDE[face]
-    points: Points = middle + (place * half) @ axes.T
+    points: F64 = middle + (place * half) @ axes.T
     return points
 
 
-def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEFAULT_SAMPLES, seed: int = 0) -> Points:
+def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEFAULT_SAMPLES, seed: int = 0) -> F64:
     """Return points (count, 3) on a triangle mesh, distributed by area.
 
     Parameters
@@ -85,11 +85,11 @@ def mesh_samples(vertices: npt.ArrayLike, faces: npt.ArrayLike, count: int = DEF
     slices, drawn = _draws(count, seed, "mesh")
     face, (u, v) = _by_area(area, slices), drawn
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    points: Points = corners[face, 0] + u * along[face] + v * across[face]
+    points: F64 = corners[face, 0] + u * along[face] + v * across[face]
     return points
 
 
-def _by_area(area: Points, slices: Points) -> npt.NDArray[np.int64]:
+def _by_area(area: F64, slices: F64) -> npt.NDArray[np.int64]:
     """Choose a face for each of the random points, in proportion to the areas of the faces. Return the indices of the
     faces. `slices` (n,) are shares of the total area, one in each of n equal parts.
     """
@@ -99,7 +99,7 @@ def _by_area(area: Points, slices: Points) -> npt.NDArray[np.int64]:
 
 
 @lru_cache(maxsize=64)
-def _draws(count: int, seed: int, kind: Literal["box", "mesh"]) -> tuple[Points, Points]:
+def _draws(count: int, seed: int, kind: Literal["box", "mesh"]) -> tuple[F64, F64]:
     """Return the random numbers of ``count`` points, which are equal for all surfaces: a share of the total area for
     each (n,), in one of n equal parts each, and where the point lies on its face: (n, 3) from -1 to 1 for a box, twice
     (n, 1) from 0 to 1 for a mesh.

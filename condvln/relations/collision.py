@@ -14,13 +14,14 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.glb import GlbGeometry
 from condvln.scene import OrientedBox
 from condvln.scene.boxes import corners
+from condvln.sources.solids import BOX_FACES
 
 __all__ = ["CollisionBody", "asset_body", "body_of", "box_body"]
 
-F64 = NDArray[np.float64]
 Faces = NDArray[np.integer[Any]]
 
 KEPT_TRIANGLES: Final = 1_500_000
@@ -34,13 +35,6 @@ that is published.
 
 TOUCHING: Final = 2e-5
 """Metres at most between surfaces that touch, after one of them was moved by `OFF_PLANE`."""
-
-_BOX_FACES: Final = np.array(
-    [
-        *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]),
-        *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
-    ]
-)
 
 _kept: OrderedDict[GlbGeometry, Any] = OrderedDict()
 
@@ -86,9 +80,9 @@ def asset_body(asset: GlbGeometry, pose: F64) -> CollisionBody:
 def box_body(box: OrientedBox) -> CollisionBody:
     """Return the body of a box. A flat one has no triangles without area, which FCL would measure wrongly."""
     own = corners([-box.half_extents, box.half_extents])
-    a, b, c = (own[_BOX_FACES[:, k]] for k in range(3))
+    a, b, c = (own[BOX_FACES[:, k]] for k in range(3))
     has_area = np.cross(b - a, c - a).any(axis=1)
-    faces = _BOX_FACES[has_area] if has_area.any() else _BOX_FACES
+    faces = BOX_FACES[has_area] if has_area.any() else BOX_FACES
     return CollisionBody(_model(own, faces), box.rotation, box.center)
 
 

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.relations.directions import COMPASS, sector_deviation
 from condvln.relations.metrics import AABB, SPHERE, PairMetrics, millimetres
 from condvln.relations.stacking import Stacking, exact_mm
@@ -46,8 +47,6 @@ __all__ = [
     "size_facts",
 ]
 
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Quantities = Mapping[str, F64]
 
 SEMANTIC: Final = ("near", "far from", "higher than", "lower than", "above", "below")
@@ -79,25 +78,10 @@ DENIED_BY_ALL: Final = frozenset(("higher than", "lower than", *COMPASS))
 """Predicates that are false only if all their bounds for false hold; for the others one is enough."""
 
 UNITS: Final = {
-    "distance": "m",
-    "surface distance": "m",
-    "ground distance": "m",
-    "horizontal": "m",
-    "air": "mm",
-    "gap": "mm",
-    "apart": "mm",
-    "box distance": "mm",
-    "rise": "mm",
-    "top rise": "mm",
-    "off floor": "mm",
-    "room below": "mm",
-    "covered": "share",
-    "inside": "share",
-    "overlap": "share",
-    "elevation": "°",
-    "off centre": "°",
-    "off anchor's edge": "°",
-    "off own edge": "°",
+    **dict.fromkeys(("distance", "surface distance", "ground distance", "horizontal"), "m"),
+    **dict.fromkeys(("air", "gap", "apart", "box distance", "rise", "top rise", "off floor", "room below"), "mm"),
+    **dict.fromkeys(("covered", "inside", "overlap"), "share"),
+    **dict.fromkeys(("elevation", "off centre", "off anchor's edge", "off own edge"), "°"),
 }
 """The units of all quantities. Lengths from `Stacking` are whole millimetres."""
 
@@ -212,7 +196,7 @@ def halfway(predicate: str, t: Thresholds) -> float:
     return SECTOR_HALF_WIDTH if predicate in COMPASS else limits.get(predicate, t.height)
 
 
-def edges(metrics: PairMetrics, t: Thresholds) -> dict[str, Mask]:
+def edges(metrics: PairMetrics, t: Thresholds) -> dict[str, Bools]:
     """Return, for each predicate of `SEMANTIC`, whether the graph has the edge, (n, n)."""
     rise = -metrics.delta[..., 1] + 0.0
     over = metrics.horizontal <= t.over_horizontal
@@ -260,7 +244,7 @@ def deviations(azimuths: Sequence[F64] | F64, predicate: str) -> dict[str, F64]:
     return dict(zip(OFF, sector_deviation(np.asarray(azimuths), COMPASS.index(predicate)), strict=True))
 
 
-def fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> Fact:
+def fact(true: Bools, false: Bools, when_true: F64, when_false: F64) -> Fact:
     """Return the status and margin of a predicate. `true` and `false` are masks of the pairs for which text may use the
     predicate as true or as false; `when_true` and `when_false` are the margins of these two cases.
     """
@@ -270,7 +254,7 @@ def fact(true: Mask, false: Mask, when_true: F64, when_false: F64) -> Fact:
     return Fact(status, np.fmax(when_true, when_false))
 
 
-def fact_of(predicate: str, q: Quantities, s: Stacking, t: Thresholds, container: Mask) -> Fact:
+def fact_of(predicate: str, q: Quantities, s: Stacking, t: Thresholds, container: Bools) -> Fact:
     """Return what text may state of a predicate, judged by boxes and surfaces; not of "lower than" and "below".
 
     Parameters
@@ -290,19 +274,19 @@ def fact_of(predicate: str, q: Quantities, s: Stacking, t: Thresholds, container
     return fact(true, false & fit_false, when_true, when_false)
 
 
-def denies(predicate: str, q: Quantities, t: Thresholds) -> Mask:
+def denies(predicate: str, q: Quantities, t: Thresholds) -> Bools:
     """Return for which pairs a condition may deny a compass direction, (n, n)."""
     bounds = bounds_of(predicate, t, denied=True)
     return reduce(np.logical_and, [_meets(q, one.quantity, one.false) for one in bounds if one.false])
 
 
-def _meets(q: Quantities, quantity: str, bound: Bound) -> Mask:
+def _meets(q: Quantities, quantity: str, bound: Bound) -> Bools:
     operator, limit = bound
-    found: Mask = _MEETS[operator](q[quantity], limit)
+    found: Bools = _MEETS[operator](q[quantity], limit)
     return found
 
 
-def _fit(predicate: str, s: Stacking, t: Thresholds, container: Mask) -> tuple[Mask | bool, Mask | bool]:
+def _fit(predicate: str, s: Stacking, t: Thresholds, container: Bools) -> tuple[Bools | bool, Bools | bool]:
     """Return for which pairs text may use a predicate at all, as true and as false."""
     if predicate == "on":  # below the top of a box nothing is decided: it includes headboards and arm rests
         return (s.area[None, :] > s.area[:, None]) & (s.rise > 0.0), s.known
@@ -366,7 +350,7 @@ def _rising(value: F64, emitted: float, text: float) -> F64:
 Status = NDArray[np.int8]
 
 
-def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask, t: Thresholds) -> tuple[Status, F64]:
+def closest_facts(distance: F64, labels: Sequence[str], rival: Bools, held: Bools, t: Thresholds) -> tuple[Status, F64]:
     """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each. Object i
     is compared with all other objects that the label of object i might mean.
 
@@ -393,7 +377,7 @@ def closest_facts(distance: F64, labels: Sequence[str], rival: Mask, held: Mask,
     return status, margin
 
 
-def size_facts(arrays: RoomArrays, rival: Mask, t: Thresholds) -> dict[str, Status]:
+def size_facts(arrays: RoomArrays, rival: Bools, t: Thresholds) -> dict[str, Status]:
     """Return the status (n,) of "the bigger" and "the smaller" for each object. Both compare the only two objects of
     one label, so the status is 0 if the room has a third object that the label might mean.
 
@@ -449,7 +433,7 @@ def _size(item: SceneObject) -> _Size | None:
 
 
 def between_facts(
-    arrays: RoomArrays, s: Stacking, compound: Mask, pairs: NDArray[np.intp], t: Thresholds
+    arrays: RoomArrays, s: Stacking, compound: Bools, pairs: NDArray[np.intp], t: Thresholds
 ) -> tuple[Status, F64]:
     """Return the status and the margin of the statements "object i is between a and b", (n, p) each, for p `pairs` of
     anchors a and b.
@@ -482,7 +466,7 @@ def between_facts(
     return status, margin
 
 
-def _amid(arrays: RoomArrays, ground: F64, pairs: NDArray[np.intp]) -> Mask:
+def _amid(arrays: RoomArrays, ground: F64, pairs: NDArray[np.intp]) -> Bools:
     """Return (n, p) whether the centre of each object, `ground` (n, 2) in millimetres, is in the gap between the boxes
     of two anchors that face each other, in the part that both flank. Far from the line of the centres of two long
     counters, a thing in the aisle is between them all the same.
@@ -491,5 +475,5 @@ def _amid(arrays: RoomArrays, ground: F64, pairs: NDArray[np.intp]) -> Mask:
     first, last = low.max(axis=1), high.min(axis=1)  # (p, 2): what the anchors share; where they don't, last < first
     at = ground[:, None]
     flanked, gap = (first <= at) & (at <= last), (last <= at) & (at <= first)
-    found: Mask = (gap[..., 0] & flanked[..., 1]) | (flanked[..., 0] & gap[..., 1])
+    found: Bools = (gap[..., 0] & flanked[..., 1]) | (flanked[..., 0] & gap[..., 1])
     return found

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from schemas.config import Thresholds
 
 __all__ = [
@@ -35,7 +36,6 @@ __all__ = [
     "sighted",
 ]
 
-F64 = NDArray[np.float64]
 
 SECTORS: Final = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 """The eight sectors counter-clockwise from east, seen from above."""

@@ -12,9 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from condvln.arrays import F64
+
 __all__ = ["AABB", "CENTRE", "SPHERE", "USED_METRICS", "PairMetrics", "millimetres", "pair_metrics"]
 
-F64 = NDArray[np.float64]
 
 MILLIMETRES_PER_METRE: Final = 1000.0
 

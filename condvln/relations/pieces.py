@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import Bools
 from condvln.relations.metrics import millimetres
 from condvln.scene import RoomArrays, round_mm
 from condvln.scene.boxes import aabb_of, box_corners
 
 __all__ = ["Pieces"]
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,7 @@ class Pieces:
         return cls(whole, arrays, owner)
 
     @cached_property
-    def compound(self) -> Mask:
+    def compound(self) -> Bools:
         """Mask (n,) of objects with several pieces."""
         return np.bincount(self.owner, minlength=len(self.whole)) > 1
 
@@ -76,13 +75,13 @@ class Pieces:
         """
         return values[np.ix_(self.owner, self.owner)] if self.several else values
 
-    def any(self, mask: Mask) -> Mask:
+    def any(self, mask: Bools) -> Bools:
         """Return a mask (n, n) for pairs of objects: whether the mask (m, m) is true for some pair of a piece of one
         object and a piece of the other.
         """
         return np.asarray(self._reduced(np.logical_or, mask), dtype=np.bool_)
 
-    def all(self, mask: Mask) -> Mask:
+    def all(self, mask: Bools) -> Bools:
         """Return, for each two of the n objects, whether `mask` is true for every pair of their pieces, as (n, n).
         `mask` (m, m) has an entry for each two of the m pieces.
         """

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.relations.decisions import edges
 from condvln.relations.directions import COINCIDENT, canonical_codes
 from condvln.relations.metrics import PairMetrics, pair_metrics
@@ -19,9 +20,6 @@ from schemas.config import Thresholds
 from schemas.errors import StoreError
 
 __all__ = ["RoomRelations", "relate_room", "relate_scene"]
-
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +38,8 @@ class RoomRelations:
     metrics: PairMetrics
     surface: F64
     canonical: NDArray[np.int8]
-    degenerate: Mask
-    semantic: Mapping[str, Mask]
+    degenerate: Bools
+    semantic: Mapping[str, Bools]
 
     def __len__(self) -> int:
         return len(self.objects)

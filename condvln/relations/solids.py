@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from condvln.arrays import F64
 from condvln.formats.glb import GlbGeometry
 from condvln.relations.collision import CollisionBody, asset_body, body_of, box_body
 from condvln.scene import OrientedBox, RoomArrays, SceneObject, round_mm
@@ -32,7 +33,6 @@ __all__ = [
     "surface_distances",
 ]
 
-F64 = NDArray[np.float64]
 
 AXIS_TOLERANCE: Final = 1e-9
 """A rotation whose entries are within this of 0 or ±1 counts as axis-aligned; 1e-9 rad moves a point at 10 m by 10

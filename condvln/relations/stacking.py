@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.labels import vocabulary
 from condvln.relations.metrics import millimetres
 from condvln.relations.pieces import Pieces
@@ -21,8 +21,6 @@ from schemas.config import Thresholds
 from schemas.config.constants import OPEN_SHARE
 
 __all__ = ["Holding", "Stacking", "closure", "exact_mm", "held_by", "holding_of", "stacking_of"]
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,12 +34,12 @@ class Holding:
     open : (n,) containers that one can look into
     """
 
-    on: Mask
-    inside: Mask
-    named: Mask
-    denied: Mask
-    container: Mask
-    open: Mask
+    on: Bools
+    inside: Bools
+    named: Bools
+    denied: Bools
+    container: Bools
+    open: Bools
 
 
 def holding_of(arrays: RoomArrays) -> Holding:
@@ -63,15 +61,13 @@ def holding_of(arrays: RoomArrays) -> Holding:
     return Holding(on, inside, named, denied, containers, np.array(opened, dtype=np.bool_))
 
 
-def closure(direct: Mask) -> Mask:
+def closure(direct: Bools) -> Bools:
     """Return a mask (n, n): whether a chain of one or more links of the mask `direct` (n, n) leads from i to j."""
     found = direct.copy()
     for k in np.flatnonzero(direct.any(axis=0) & direct.any(axis=1)).tolist():  # the links through k (Warshall, 1962)
         found[found[:, k]] |= found[k]
     return found
 
-
-F64 = NDArray[np.float64]
 
 _GROUND: Final = [0, 2]
 
@@ -108,7 +104,7 @@ class Stacking:
     gap: F64
     bottom_rise: F64
     apart: F64
-    over: Mask
+    over: Bools
     distance: F64
     shared: F64
     covered: F64
@@ -116,8 +112,8 @@ class Stacking:
     area: F64
     length: F64
     off_floor: F64
-    known: Mask
-    carries: Mask
+    known: Bools
+    carries: Bools
 
 
 def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Stacking:
@@ -165,7 +161,7 @@ def stacking_of(pieces: Pieces, holding: Holding, thresholds: Thresholds) -> Sta
     )
 
 
-def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Thresholds) -> tuple[Mask, Mask]:
+def held_by(pieces: Pieces, holding: Holding, s: Stacking, thresholds: Thresholds) -> tuple[Bools, Bools]:
     """Return two masks (n, n) of pairs of objects: whether the target supports or contains the subject, directly or
     through other objects, and whether the target surrounds most of the subject.
 

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.relations.decisions import SEMANTIC
 from condvln.relations.directions import CANONICAL, COINCIDENT, COMPASS
 from condvln.relations.metrics import USED_METRICS
@@ -22,9 +23,7 @@ from schemas.tables import RELATIONS, VEC3
 
 __all__ = ["CONTAINS", "relation_table", "to_networkx"]
 
-F64 = NDArray[np.float64]
 Codes = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 CONTAINS: Final = "contains"
 """Predicate of the edge from a room to each of its objects; stored in this direction only."""
@@ -56,8 +55,8 @@ class _Edges:
     used_metric: Codes
     delta: F64
     measures: F64
-    degenerate: Mask
-    true_in_text: Mask
+    degenerate: Bools
+    true_in_text: Bools
 
 
 _MEASURES: Final = (

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.labels.lists import Role, have_role
 from condvln.relations.decisions import (
     OF_SOME_PIECE,
@@ -55,8 +56,6 @@ def in_one_group(arrays: RoomArrays) -> NDArray[np.bool_]:
     return found
 
 
-F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Status = NDArray[np.int8]
 
 SIZE_PREDICATES: Final = ("bigger", "smaller")
@@ -83,13 +82,13 @@ class TextFacts:
 
     status: Mapping[str, Status]
     margin: Mapping[str, F64]
-    denied: Mapping[str, Mask]
-    excluded: Mapping[str, Mask]
+    denied: Mapping[str, Bools]
+    excluded: Mapping[str, Bools]
     _arrays: RoomArrays
     _whole: Stacking
     _distance: F64
-    _held: Mask
-    _compound: Mask
+    _held: Bools
+    _compound: Bools
     _thresholds: Thresholds
 
     def between(self, pairs: NDArray[np.intp]) -> tuple[Status, F64]:
@@ -98,13 +97,13 @@ class TextFacts:
         """
         return between_facts(self._arrays, self._whole, self._compound, pairs, self._thresholds)
 
-    def closest(self, rival: Mask) -> tuple[Status, F64]:
+    def closest(self, rival: Bools) -> tuple[Status, F64]:
         """Return the status and the margin of the statements "object i is the closest to object j", (n, n) each.
         `rival` (n, n) says whether the label of object i could mean object j.
         """
         return closest_facts(self._distance, self._arrays.labels, rival, self._held, self._thresholds)
 
-    def sizes(self, rival: Mask) -> dict[str, Status]:
+    def sizes(self, rival: Bools) -> dict[str, Status]:
         """Return the status (n,) of each predicate of `SIZE_PREDICATES`. `rival` (n, n) says whether the label of
         object i could mean object j.
         """
@@ -193,7 +192,7 @@ def _far_of(pieces: Pieces, one: Fact) -> Fact:
     return _of_objects(pieces, one, pieces.all(one.status == 1), pieces.any(one.status == -1), pieces.least(one.margin))
 
 
-def _of_objects(pieces: Pieces, one: Fact, true: Mask, false: Mask, margin: F64) -> Fact:
+def _of_objects(pieces: Pieces, one: Fact, true: Bools, false: Bools, margin: F64) -> Fact:
     return fact(true, false, margin, margin) if pieces.several else one
 
 
@@ -219,7 +218,7 @@ def _said_in(one: Fact, holding: Holding) -> Fact:
     return fact(true, (status == -1) & ~said, margin, margin)
 
 
-def _unheld(one: Fact, held: Mask, around: Mask, holding: Holding, grouped: Mask) -> Fact:
+def _unheld(one: Fact, held: Bools, around: Bools, holding: Holding, grouped: Bools) -> Fact:
     """Return `one`, which is "near", with its status set to 0 where one object is on or in the other: of such objects
     people say neither "near" nor "not near". Of two objects of one group, people do not say "not near".
 

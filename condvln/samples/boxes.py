@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-import orjson
-
+from condvln.formats.streams import indented
 from condvln.samples.layout import Layout
 
 __all__ = ["boxes_files"]
@@ -43,4 +42,4 @@ def _file(layout: Layout, *, z_up: bool) -> bytes:
             for piece in layout.furniture
         ],
     }
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
+    return indented(document)

@@ -8,15 +8,15 @@ the labels in the words of each source family: its class for exactly the labelle
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any, Final
 
 import yaml
+
+from condvln.own_tables import own_rows, own_text
 
 __all__ = ["VARIANTS", "Kind", "NativeLabel", "catalogue", "class_ids", "native_labels", "record"]
 
@@ -34,10 +34,9 @@ class NativeLabel:
 @cache
 def native_labels() -> dict[str, NativeLabel]:
     """Return the native labels, keyed by the catalogue's labels."""
-    text = resources.files("condvln.samples").joinpath("native_labels.csv").read_text(encoding="utf-8")
     return {
         row["label"]: NativeLabel(row["ai2thor"], row["gibson"], row["mp3d"], int(row["mpcat40"]))
-        for row in csv.DictReader(text.splitlines())
+        for row in own_rows("condvln.samples", "native_labels.csv")
     }
 
 
@@ -112,7 +111,6 @@ def _sizes(row: dict[str, str]) -> tuple[tuple[int, int, int], ...]:
 @cache
 def catalogue() -> dict[str, Kind]:
     """Return all kinds by name, in the order of the file."""
-    text = resources.files("condvln.samples").joinpath("catalogue.csv").read_text(encoding="utf-8")
     return {
         row["kind"]: Kind(
             kind=row["kind"],
@@ -125,7 +123,7 @@ def catalogue() -> dict[str, Kind]:
             urdf=row["urdf"] or None,
             number=number,
         )
-        for number, row in enumerate(csv.DictReader(text.splitlines()), start=1)
+        for number, row in enumerate(own_rows("condvln.samples", "catalogue.csv"), start=1)
     }
 
 
@@ -136,8 +134,7 @@ def class_ids() -> dict[str, int]:
 
 @cache
 def _records() -> dict[str, Any]:
-    text = resources.files("condvln.samples").joinpath("records.yaml").read_text(encoding="utf-8")
-    found: dict[str, Any] = yaml.safe_load(text)
+    found: dict[str, Any] = yaml.safe_load(own_text("condvln.samples", "records.yaml"))
     return found
 
 

@@ -12,11 +12,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Final, NamedTuple
 
 import shapely
 import yaml
+
+from condvln.own_tables import own_text
 
 __all__ = ["MAX_ROOMS", "MIN_ROOMS", "SHARED", "FloorPlan", "PlanDoor", "Rect", "draw_floor_plan", "metres"]
 
@@ -128,7 +129,7 @@ class Rooms(NamedTuple):
 @cache
 def known_rooms() -> Rooms:
     """Return what ``floor_plans.yaml`` says."""
-    found = yaml.safe_load(resources.files("condvln.samples").joinpath("floor_plans.yaml").read_text(encoding="utf-8"))
+    found = yaml.safe_load(own_text("condvln.samples", "floor_plans.yaml"))
     kinds = {label: RoomKind(tuple(kind["area"]), kind["side"]) for label, kind in found["kinds"].items()}
     # Equal labels are one object: what pickle writes of a Gibson building depends on it.
     programmes = {n: [[*map(sys.intern, one)] for one in several] for n, several in found["programmes"].items()}

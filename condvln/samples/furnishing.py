@@ -7,14 +7,14 @@ is a generator of candidates in random order; the room decides which of them fit
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 from typing import Any, Final
 
 import yaml
 
+from condvln.own_tables import own_text
 from condvln.samples.catalogue import VARIANTS, Kind, catalogue
 from condvln.samples.layout import Yaw
 from condvln.samples.room_space import HANG_GAP, WALL_GAP, Edge, Piece, RoomSpace
@@ -279,22 +279,12 @@ def row_of(rng: random.Random, room: RoomSpace, kinds: list[tuple[Kind, int]]) -
             yield pieces
 
 
-SPOTS: Final[dict[str, Spot]] = {
-    "wall": along_wall,
-    "wall middle": wall_middle,
-    "opposite": opposite,
-    "corner": corner,
-    "centre": centre,
-    "anywhere": anywhere,
-    "beside": beside,
-    "before": before,
-    "facing": facing,
-    "around": around,
-    "hung": hung,
-    "above": above,
-    "on top": on_top,
-    "on middle": on_middle,
-    "on back": on_back,
+SPOTS: Final[Mapping[str, Spot]] = {"wall": along_wall} | {
+    spot.__name__.replace("_", " "): spot
+    for spot in (
+        *(wall_middle, opposite, corner, centre, anywhere, beside, before),
+        *(facing, around, hung, above, on_top, on_middle, on_back),
+    )
 }
 """The kinds of positions that a recipe may name."""
 
@@ -401,10 +391,9 @@ def _place_row(rng: random.Random, room: RoomSpace, step: Step) -> bool:
 @cache
 def recipes() -> dict[str, Recipe]:
     """Return all recipes by name: one for each room type, and the filler recipe."""
-    text = resources.files("condvln.samples").joinpath("recipes.yaml").read_text(encoding="utf-8")
     return {
         label: Recipe(*(tuple(_step(line) for line in recipe.get(part, ())) for part in ("first", "then")))
-        for label, recipe in yaml.safe_load(text).items()
+        for label, recipe in yaml.safe_load(own_text("condvln.samples", "recipes.yaml")).items()
     }
 
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.navmesh_file import NavMeshFile
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.catalogue import native_labels, record
@@ -25,15 +25,13 @@ from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Furniture, Layout, Room
 from condvln.samples.models import Z_UP
 from condvln.samples.solid import layout_glb
+from schemas.base import Json
 
 __all__ = ["gibson_files", "version_1"]
 
 
 CATEGORIES: Final = {"hallway": "corridor", "office": "home_office"}
 """Gibson's names of room types; other types use our names with underscores."""
-
-Json = dict[str, Any]
-F64 = NDArray[np.float64]
 
 
 def gibson_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:

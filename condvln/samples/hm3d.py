@@ -16,14 +16,15 @@ from typing import Final
 import numpy as np
 import shapely
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
+from condvln.arrays import F64, I64
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Layout
 from condvln.samples.models import DECIMALS, ROOT, Z_UP
-from condvln.samples.solid import FACES, box_corners, floor_boxes, layout_glb, piece_corners, wall_boxes
+from condvln.samples.solid import box_corners, floor_boxes, layout_glb, piece_corners, wall_boxes
+from condvln.sources.solids import BOX_FACES
 
 __all__ = ["hm3d_files"]
 
@@ -44,9 +45,6 @@ UPPER, LOWER = (6, 8), (4, 6)
 BLACK: Final = 0
 TILE: Final = 4
 """Pixels of the square that a texture has for each colour."""
-
-F64 = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,7 +133,7 @@ def _painted(layout: Layout, instances: Sequence[_Instance], colours: Sequence[i
             shade = np.zeros(12, np.int64)
             shade[one.start : one.end] = k
             shades.append(np.tile(shade, len(one.boxes)))
-        faces = (FACES[None] + 8 * np.arange(len(corners))[:, None, None]).reshape(-1)
+        faces = (BOX_FACES[None] + 8 * np.arange(len(corners))[:, None, None]).reshape(-1)
         # Each face has corners of its own, since its neighbours have other colours.
         mesh = trimesh.Trimesh(corners.reshape(-1, 3)[faces], np.arange(len(faces)).reshape(-1, 3), process=False)
         mesh.visual = _visual(np.concatenate(shades).repeat(3), palette, textured, f"chunk{region:03d}")
@@ -147,7 +145,7 @@ def _painted(layout: Layout, instances: Sequence[_Instance], colours: Sequence[i
 
 
 def _visual(
-    shade: Ints, palette: Ints, textured: bool, name: str
+    shade: I64, palette: I64, textured: bool, name: str
 ) -> trimesh.visual.TextureVisuals | trimesh.visual.ColorVisuals:
     """Return the look of vertices whose colours are entries of the palette."""
     channels = np.stack([palette >> 16, palette >> 8 & 255, palette & 255], axis=-1).astype(np.uint8)

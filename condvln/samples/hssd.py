@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import orjson
@@ -22,12 +22,11 @@ from condvln.samples.layout import Furniture, Layout
 from condvln.samples.models import Model, articulated_files, bodies, glb_of_boxes, models_of
 from condvln.samples.replicacad import articulated_records, numbers, region_record, wxyz
 from condvln.samples.solid import floor_boxes, wall_boxes
+from schemas.base import Json
 
 __all__ = ["hssd_files"]
 
 NAME: Final = "hssd-hab"
-
-Json = dict[str, Any]
 
 
 def hssd_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
@@ -37,31 +36,30 @@ def hssd_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
     ----------
     layouts : scene name to layout; a scene's files depend only on its own layout and name
     """
-    yield f"{NAME}.scene_dataset_config.json", _json(record("hssd dataset", dataset=NAME))
+    yield f"{NAME}.scene_dataset_config.json", orjson.dumps(record("hssd dataset", dataset=NAME))
     classes = [{"name": "unknown", "id": 0}, *({"name": name, "id": number} for name, number in class_ids().items())]
-    yield f"semantics/{NAME}_semantic_lexicon.json", _json({"classes": classes})
+    yield f"semantics/{NAME}_semantic_lexicon.json", orjson.dumps({"classes": classes})
     yield "semantics/objects.csv", _table()
     models = models_of(layouts.values())
     for (kind, variant), model in models.items():
         name = _hash(kind, variant)
         yield f"objects/{name[0]}/{name}.glb", model.glb
-        yield f"objects/{name[0]}/{name}.object_config.json", _json(_object_config(name, catalogue()[kind].label))
+        yield (
+            f"objects/{name[0]}/{name}.object_config.json",
+            orjson.dumps(_object_config(name, catalogue()[kind].label)),
+        )
     for body in bodies():
         for file, content in articulated_files(body).items():
             yield f"urdf/{body.urdf}/{file}", content
         described = {"urdf_filepath": f"{body.urdf}.urdf", "semantic_id": class_ids()[body.label]}
-        yield f"urdf/{body.urdf}/{body.urdf}.ao_config.json", _json(described)
+        yield f"urdf/{body.urdf}/{body.urdf}.ao_config.json", orjson.dumps(described)
     for name, layout in layouts.items():
         yield f"stages/{name}.glb", glb_of_boxes({"floor": floor_boxes(layout), "walls": wall_boxes(layout)})
-        yield f"stages/{name}.stage_config.json", _json(record("hssd stage", name=name))
-        yield f"scenes/{name}.scene_instance.json", _json(_scene_instance(name, layout, models))
+        yield f"stages/{name}.stage_config.json", orjson.dumps(record("hssd stage", name=name))
+        yield f"scenes/{name}.scene_instance.json", orjson.dumps(_scene_instance(name, layout, models))
         regions = {"region_annotations": [region_record(room, layout.ceiling) for room in layout.rooms]}
-        yield f"semantics/scenes/{name}.semantic_config.json", _json(regions)
+        yield f"semantics/scenes/{name}.semantic_config.json", orjson.dumps(regions)
         yield f"navmeshes/{name}.navmesh", navmesh_of(layout, NavMeshSettings(include_static_objects=True)).to_bytes()
-
-
-def _json(document: Json) -> bytes:
-    return orjson.dumps(document)
 
 
 def _hash(kind: str, variant: int) -> str:

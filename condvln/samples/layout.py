@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+
+from condvln.arrays import F64
 
 __all__ = ["WALL_THICKNESS", "Door", "Furniture", "Layout", "Room", "Yaw"]
 
-F64 = NDArray[np.float64]
 
 WALL_THICKNESS: Final = 0.10
 """Wall thickness in metres. Room polygons meet at the middle of their walls; a wall's surface is half of this away."""
@@ -75,6 +75,11 @@ class Yaw:
         """Convert a point (x, z) from a piece's own frame to the scene's frame."""
         return self.cosine * x + self.sine * z, -self.sine * x + self.cosine * z
 
+    def rectangle(self, size: tuple[float, float, float]) -> list[tuple[float, float]]:
+        """Return the corners on the ground of a turned box of this size around the origin."""
+        half_x, half_z = size[0] / 2, size[2] / 2
+        return [self.apply(sx * half_x, sz * half_z) for sx, sz in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+
     @property
     def matrix(self) -> F64:
         """The (3, 3) rotation matrix."""
@@ -86,11 +91,6 @@ class Yaw:
         """The quaternion [x, y, z, w]."""
         half = self.radians / 2
         return 0.0, math.sin(half), 0.0, math.cos(half)
-
-
-def _clean(metres: F64) -> F64:
-    """Return coordinates without floating-point noise in the last bits."""
-    return np.asarray(np.round(metres, 6), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,16 +178,13 @@ class Furniture:
     def aabb(self) -> F64:
         """(2, 3) lower and upper corner of the axis-aligned box in the scene."""
         center, half = np.array(self.center), np.array(self.extent) / 2
-        return _clean(np.stack([center - half, center + half]))
+        # without floating-point noise in the last bits
+        return np.asarray(np.round(np.stack([center - half, center + half]), 6))
 
     @property
     def footprint(self) -> shapely.Polygon:
         """The rotated rectangle over (x, z)."""
-        half_x, half_z = self.size[0] / 2, self.size[2] / 2
-        corners = [
-            self.yaw.apply(x, z)
-            for x, z in ((-half_x, -half_z), (half_x, -half_z), (half_x, half_z), (-half_x, half_z))
-        ]
+        corners = self.yaw.rectangle(self.size)
         return shapely.Polygon([(round(self.center[0] + x, 6), round(self.center[2] + z, 6)) for x, z in corners])
 
 

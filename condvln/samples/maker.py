@@ -156,15 +156,11 @@ def _furniture(room_id: str, piece: Piece, ids: list[str], index: int) -> Furnit
 Writer = Callable[[Mapping[str, Layout]], Iterator[tuple[str, bytes]]]
 
 FAMILIES: Final[dict[str, Writer]] = {
-    "boxes": boxes_files,
-    "gibson": gibson_files,
-    "hm3d": hm3d_files,
-    "hssd": hssd_files,
-    "ithor": ithor_files,
-    "mp3d": mp3d_files,
-    "procthor": procthor_files,
-    "replicacad": replicacad_files,
-    "robothor": robothor_files,
+    write.__name__.removesuffix("_files"): write
+    for write in (
+        *(boxes_files, gibson_files, hm3d_files, hssd_files, ithor_files),
+        *(mp3d_files, procthor_files, replicacad_files, robothor_files),
+    )
 }
 """Writers by source family: from layouts by scene name to files by path."""
 

@@ -8,19 +8,18 @@ identity, and the vertices alone do not give the extent.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
+from condvln.own_tables import own_rows
 from condvln.samples.catalogue import Kind, catalogue, record
 from condvln.samples.layout import Layout
 
@@ -37,7 +36,6 @@ __all__ = [
     "shapes",
 ]
 
-F64 = NDArray[np.float64]
 
 ROOT: Final = np.array([[1.0, 0.0, 0.0, 0.25], [0.0, 0.0, 1.0, -0.5], [0.0, -1.0, 0.0, 0.125], [0.0, 0.0, 0.0, 1.0]])
 """Transform of the root node: z-up, as modelling tools export, with the origin elsewhere."""
@@ -105,9 +103,9 @@ def shapes() -> dict[str, F64]:
     A part is given by shares of width, height (up) and depth (the front is z = 1). Every shape touches all six faces of
     the cube and has one part that spans the whole plan, so that a rotated piece has the extent of its box.
     """
-    text = resources.files("condvln.samples").joinpath("shapes.csv").read_text(encoding="utf-8")
     parts: dict[str, list[list[list[float]]]] = {}
-    for shape, *bounds in list(csv.reader(text.splitlines()))[1:]:
+    for row in own_rows("condvln.samples", "shapes.csv"):
+        shape, *bounds = row.values()
         x0, x1, y0, y1, z0, z1 = map(float, bounds)
         parts.setdefault(shape, []).append([[x0, y0, z0], [x1, y1, z1]])
     return {shape: np.array(boxes) for shape, boxes in parts.items()}

@@ -22,8 +22,8 @@ import networkx as nx
 import numpy as np
 import orjson
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.catalogue import native_labels
 from condvln.samples.floor_mesh import convex_polygons, free_floor, navmesh_of, open_plan
@@ -38,7 +38,6 @@ __all__ = [
     "mp3d_files",
 ]
 
-F64 = NDArray[np.float64]
 
 SPACING: Final = 1.8
 """Distance in metres between viewpoints on open floor."""
@@ -53,7 +52,6 @@ MARGIN: Final = 0.1
 """Least distance in metres of viewpoints from the edge of the free floor."""
 
 Place = tuple[float, float]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +62,8 @@ class Viewpoints:
 
     places: F64
     rooms: tuple[str, ...]
-    visible: Flags
-    unobstructed: Flags
+    visible: Bools
+    unobstructed: Bools
 
 
 def viewpoints_of(layout: Layout) -> Viewpoints:
@@ -81,8 +79,8 @@ def viewpoints_of(layout: Layout) -> Viewpoints:
     return Viewpoints(places, rooms, _joined(places, open_plan(layout)), _walks(places, floor))
 
 
-def _walks(places: F64, floor: shapely.Geometry) -> Flags:
-    near: Flags = np.linalg.norm(places[:, None] - places[None], axis=-1) <= REACH
+def _walks(places: F64, floor: shapely.Geometry) -> Bools:
+    near: Bools = np.linalg.norm(places[:, None] - places[None], axis=-1) <= REACH
     return _joined(places, floor) & near
 
 
@@ -148,11 +146,11 @@ def _thinned(places: F64, distance: float, kept: int = 0) -> F64:
     return np.array(chosen)
 
 
-def _joined(places: F64, area: shapely.Geometry) -> Flags:
+def _joined(places: F64, area: shapely.Geometry) -> Bools:
     """Return a mask (n, n): whether two different viewpoints are connected by a straight line inside `area`."""
     n = len(places)
     pairs = np.stack(np.broadcast_arrays(places[:, None], places[None]), axis=2)
-    joined: Flags = shapely.covers(area, shapely.linestrings(pairs.reshape(-1, 2, 2))).reshape(n, n)
+    joined: Bools = shapely.covers(area, shapely.linestrings(pairs.reshape(-1, 2, 2))).reshape(n, n)
     return joined & ~np.eye(n, dtype=bool)
 
 
@@ -361,7 +359,7 @@ def mp3d_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
     yield "mpcat40.tsv", _table([["mpcat40index", "mpcat40"], *([str(i), name] for i, name in enumerate(MPCAT40))])
     for name, layout in layouts.items():
         views = viewpoints_of(layout)
-        ids = [_panorama_id(name, i) for i in range(len(views.places))]
+        ids = [hashlib.sha256(f"{name}/{i}".encode()).hexdigest()[:32] for i in range(len(views.places))]
         segmentations = f"{name}/house_segmentations"
         yield f"{segmentations}/{name}.house", house_text(name, layout, views, ids)
         yield f"{segmentations}/panorama_to_region.txt", _panorama_regions(layout, views, ids)
@@ -378,11 +376,6 @@ def _mapping_row(number: int, name: str, index: int) -> list[str]:
 
 def _table(rows: Sequence[Sequence[str]]) -> bytes:
     return "".join("\t".join(row) + "\n" for row in rows).encode()
-
-
-def _panorama_id(name: str, number: int) -> str:
-    """Return a panorama id of 32 hexadecimal digits, like those of Matterport3D."""
-    return hashlib.sha256(f"{name}/{number}".encode()).hexdigest()[:32]
 
 
 def _panorama_regions(layout: Layout, views: Viewpoints, ids: list[str]) -> bytes:

@@ -32,6 +32,7 @@ from condvln.samples.floor_mesh import free_floor
 from condvln.samples.floor_plan import SHARED
 from condvln.samples.layout import Door, Furniture, Layout
 from condvln.samples.replicacad import LEXICON, replicacad_files
+from schemas.base import Json
 
 __all__ = ["HOUSES", "SCENES", "UnityFrame", "ai2thor_hab_files", "primary_property", "procthor_files"]
 
@@ -117,9 +118,6 @@ def _articulated(name: str) -> bytes:
     """
     (label,) = {kind.label for kind in catalogue().values() if kind.urdf == name}
     return orjson.dumps({"urdf_filepath": f"{name}.urdf", "semantic_id": class_ids()[label]})
-
-
-Json = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +308,7 @@ def _house(layout: Layout) -> Json:
         record(
             "procthor room",
             number=FIRST_ROOM + i,
-            type=_camel(room.label),
+            type="".join(map(str.capitalize, room.label.split())),
             floor=[{"x": x, "y": 0, "z": z} for x, z in outlines[i]],
             layer=i % 4,
         )
@@ -328,10 +326,6 @@ def _house(layout: Layout) -> Json:
         x=x,
         z=z,
     )
-
-
-def _camel(label: str) -> str:
-    return "".join(word.capitalize() for word in label.split())
 
 
 def _objects(layout: Layout, number: Mapping[str, int], frame: UnityFrame) -> list[Json]:

@@ -9,18 +9,19 @@ configuration, ``navmeshes_default/`` is for Habitat's default agent of 0.1 m.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import orjson
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
+from condvln.formats.streams import indented
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples.catalogue import catalogue, class_ids, record
 from condvln.samples.floor_mesh import navmesh_of
 from condvln.samples.layout import Furniture, Layout, Room
 from condvln.samples.models import Model, articulated_files, bodies, glb_of_boxes, models_of
 from condvln.samples.solid import floor_boxes, wall_boxes
+from schemas.base import Json
 
 __all__ = ["articulated_records", "numbers", "region_record", "replicacad_files", "wxyz"]
 
@@ -32,9 +33,6 @@ RADII: Final = {"navmeshes": 0.3, "navmeshes_default": 0.1}
 
 LEXICON: Final = "made_semantic_lexicon"
 
-F64 = NDArray[np.float64]
-Json = dict[str, Any]
-
 
 def replicacad_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:
     """Yield all files of the dataset as (path relative to its root, bytes), the dataset configuration first.
@@ -43,19 +41,19 @@ def replicacad_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes
     ----------
     layouts : scene name to layout; a scene's files depend only on its own layout and name
     """
-    yield f"{DATASET}.scene_dataset_config.json", _json(_dataset_config(layouts))
-    yield f"configs/ssd/{LEXICON}.json", _json({"classes": [{"name": n, "id": i} for n, i in class_ids().items()]})
-    yield f"configs/lighting/{DATASET}.lighting_config.json", _json(record("replicacad lighting"))
+    yield f"{DATASET}.scene_dataset_config.json", indented(_dataset_config(layouts))
+    yield f"configs/ssd/{LEXICON}.json", indented({"classes": [{"name": n, "id": i} for n, i in class_ids().items()]})
+    yield f"configs/lighting/{DATASET}.lighting_config.json", indented(record("replicacad lighting"))
     models = models_of(layouts.values())
     for (kind, variant), model in models.items():
         name, number = f"{DATASET}_{kind}_{variant:02d}", class_ids()[catalogue()[kind].label]
         yield f"objects/{name}.glb", model.glb
         config = record("replicacad object", name=name, com=numbers(model.com), number=number)
-        yield f"configs/objects/{name}.object_config.json", _json(config)
+        yield f"configs/objects/{name}.object_config.json", indented(config)
     for body in bodies():
         for file, content in articulated_files(body).items():
             yield f"urdf/{body.urdf}/{file}", content
-        yield f"urdf/{body.urdf}/{body.urdf}.ao_config.json", _json({"user_defined": {}})
+        yield f"urdf/{body.urdf}/{body.urdf}.ao_config.json", indented({"user_defined": {}})
     for name, layout in layouts.items():
         yield from _scene_files(name, layout, models)
 
@@ -64,18 +62,14 @@ def _scene_files(name: str, layout: Layout, models: Mapping[tuple[str, int], Mod
     stage = f"Stage_{name}"
     shell = glb_of_boxes({"floor": floor_boxes(layout), "walls": wall_boxes(layout)})
     yield f"stages/{stage}.glb", shell
-    yield f"configs/stages/{stage}.stage_config.json", _json(record("replicacad stage", stage=stage))
-    yield f"configs/scenes/{name}.scene_instance.json", _json(_scene_instance(name, layout, models))
+    yield f"configs/stages/{stage}.stage_config.json", indented(record("replicacad stage", stage=stage))
+    yield f"configs/scenes/{name}.scene_instance.json", indented(_scene_instance(name, layout, models))
     regions = {"region_annotations": [region_record(room, layout.ceiling) for room in layout.rooms]}
     described = {"semantic_descriptor_filename": f"../ssd/{LEXICON}.json", **regions}
-    yield f"configs/semantics/{name}.semantic_config.json", _json(described)
+    yield f"configs/semantics/{name}.semantic_config.json", indented(described)
     for folder, radius in RADII.items():
         settings = NavMeshSettings(agent_radius=radius, include_static_objects=True)
         yield f"{folder}/{name}.navmesh", navmesh_of(layout, settings).to_bytes()
-
-
-def _json(document: Json) -> bytes:
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n"
 
 
 def _dataset_config(names: Iterable[str]) -> Json:

@@ -163,11 +163,7 @@ class Piece:
         """The rotated rectangle over (x, z)."""
         if self.yaw.square:
             return self.rect.polygon
-        half_x, half_z = self.size[0] / 2, self.size[2] / 2
-        corners = (
-            self.yaw.apply(x, z)
-            for x, z in ((-half_x, -half_z), (half_x, -half_z), (half_x, half_z), (-half_x, half_z))
-        )
+        corners = self.yaw.rectangle(self.size)
         return shapely.Polygon([(self.x + x, self.z + z) for x, z in corners])
 
     @property

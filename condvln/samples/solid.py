@@ -10,15 +10,14 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.samples.catalogue import catalogue
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout
 from condvln.samples.models import box_placements, glb_of_cubes, part_boxes
 
 __all__ = ["FLOOR_THICKNESS", "box_corners", "floor_boxes", "layout_glb", "piece_corners", "wall_boxes"]
 
-F64 = NDArray[np.float64]
 
 FLOOR_THICKNESS: Final = 0.1
 """Thickness of the floor slab in metres; its upper side is at y = 0. It is half a voxel of Habitat's, which puts the
@@ -93,16 +92,6 @@ def _box(axis: int, at: float, along: Span, up: Span) -> list[list[float]]:
 
 CORNERS: Final = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """For each corner of a box, whether x, y and z are those of the upper corner."""
-
-FACES: Final = np.array(
-    [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5],
-        [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6],
-        [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ],
-    dtype=np.int32,
-)  # fmt: skip
-"""Twelve triangles over `CORNERS`, counter-clockwise seen from outside."""
 
 
 def piece_corners(piece: Furniture) -> F64:

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import orjson
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.samples.catalogue import catalogue, native_labels, record
 from condvln.samples.floor_mesh import free_floor
 from condvln.samples.layout import WALL_THICKNESS, Furniture, Layout, Room
 from condvln.samples.procthor import UnityFrame, primary_property
 from condvln.samples.solid import wall_boxes
+from schemas.base import Json
 from schemas.errors import UsageError
 
 __all__ = ["ithor_files", "robothor_files"]
@@ -44,9 +45,6 @@ FLOOR_SLAB: Final = 0.2
 REACHABLE_STEP: Final = 0.25
 REACHABLE_RADIUS: Final = 0.2
 """Grid spacing of reachable positions, and the radius of AI2-THOR's agent, in metres."""
-
-Json = dict[str, Any]
-F64 = NDArray[np.float64]
 
 
 def ithor_files(layouts: Mapping[str, Layout]) -> Iterator[tuple[str, bytes]]:

@@ -7,8 +7,9 @@ from itertools import product
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from condvln.arrays import F64
 from condvln.scene.rotations import stored_matrix, stored_quaternion
 from condvln.scene.scene import OrientedBox, SceneObject, round_mm
 
@@ -23,7 +24,6 @@ __all__ = [
     "with_box",
 ]
 
-F64 = NDArray[np.float64]
 
 _SIGNS: Final = np.array(list(product((-1.0, 1.0), repeat=3)))
 _IDENTITY: Final = np.eye(3)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.labels import vocabulary
 from condvln.scene.boxes import aabb_of, box_corners
 from condvln.scene.scene import SceneObject
@@ -27,7 +27,6 @@ from schemas.config.constants import (
 
 __all__ = ["SCANNED", "is_shut", "stated_holders", "with_containment"]
 
-F64 = NDArray[np.float64]
 
 SCANNED: Final = frozenset({"mp3d", "gibson", "hm3d"})
 """Families annotated on scans of real buildings: what the scanner saw is not hidden."""

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES, GlbGeometry, read_glb
 from condvln.formats.glb_part import GlbPart
@@ -176,8 +177,6 @@ def _library(root: Path, resolved: Path) -> MeshLibrary:
 
 
 _TRANSFORM: Final = "KHR_texture_transform"
-
-F64 = NDArray[np.float64]
 
 
 def world_transforms(part: GlbPart) -> list[F64]:

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from condvln.arrays import F64
 
 __all__ = [
     "UNITY_TO_HABITAT",
@@ -29,7 +31,6 @@ __all__ = [
     "unity_rotation",
 ]
 
-F64 = NDArray[np.float64]
 
 MIN_NORM = 1e-6
 """Least norm of a quaternion; a shorter one has no direction."""

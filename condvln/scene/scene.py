@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from condvln.arrays import F64
 from schemas.config import LimitsConfig
 from schemas.errors import LimitError
 
@@ -46,8 +47,6 @@ __all__ = [
 
 MILLIMETRE_DECIMALS: Final = 3
 """Decimals kept of a position in metres."""
-
-F64 = NDArray[np.float64]
 
 
 def round_mm(values: ArrayLike) -> F64:

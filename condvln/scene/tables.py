@@ -8,8 +8,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.scene.boxes import aabb_of
 from condvln.scene.rotations import stored_matrix, stored_quaternion
 from condvln.scene.scene import MeshPart, NavmeshFile, OrientedBox, Room, Scene, SceneObject, SceneWarning
@@ -17,7 +17,6 @@ from schemas.tables import OBJECTS, ROOMS, SCENES
 
 __all__ = ["room_of", "scene_from_tables", "scene_tables"]
 
-F64 = NDArray[np.float64]
 Row = dict[str, Any]
 
 

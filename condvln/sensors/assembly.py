@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, I64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.glb_part import GlbPart, MaterialReader, Primitive, read_part
@@ -28,7 +29,6 @@ _WRAPS: Final = {10497: 0, 33071: 1, 33648: 2}
 """glTF's codes of the wrap modes repeat, clamp to edge and mirrored repeat, in the order of `Material.wrap`."""
 _IMAGE_EXTENSIONS: Final = ("EXT_texture_webp", "KHR_texture_basisu")
 
-F64 = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
@@ -157,8 +157,6 @@ NAMED: Final = 3
 """Largest number of files that a note names."""
 MARGIN: Final = 0.05
 """Tolerance in metres of a scan's boxes, which may end before the surface; about the size of a triangle."""
-
-I64 = NDArray[np.int64]
 
 
 def scene_surfaces(scene: Scene, geometry: SceneGeometry | None) -> Surfaces:

@@ -10,16 +10,14 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.scene.rotations import rotation_x, rotation_y
 from condvln.seeding import generator
 from schemas.config import CameraConfig, NoiseConfig
 from schemas.errors import UsageError
 
 __all__ = ["PRESETS", "camera_pose", "cameras_of", "half_extents", "noisy_move", "noisy_pose", "panorama", "pixel_rays"]
-
-F64 = NDArray[np.float64]
 
 
 def noisy_pose(

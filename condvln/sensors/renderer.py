@@ -9,7 +9,6 @@ from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import NDArray
 
 from condvln.scene import Scene
 from condvln.scene.scene import SceneGeometry
@@ -122,7 +121,6 @@ NEAR: Final = 0.01
 FAR: Final = 1000.0
 """Far plane: metres along the optical axis."""
 
-F64 = NDArray[np.float64]
 Image: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32] | npt.NDArray[np.int32]
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.sensors.textures import Texels, stored
 
 __all__ = ["BLOCK", "Material", "SurfaceBuilder", "Surfaces"]
@@ -18,7 +19,6 @@ BLOCK: Final = 64
 CURVE_BITS: Final = 10
 """Cells of the curve along each axis, as a power of two."""
 
-F64 = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.labels import vocabulary
 from condvln.scene import Room, Scene
 from condvln.seeding import generator
@@ -37,7 +37,8 @@ class SeenThing:
     distance: float
 
     def __str__(self) -> str:
-        side = "straight ahead" if abs(self.bearing) < 1 else f"{abs(self.bearing):.0f}° to the {_side(self.bearing)}"
+        way = "right" if self.bearing > 0 else "left"
+        side = "straight ahead" if abs(self.bearing) < 1 else f"{abs(self.bearing):.0f}° to the {way}"
         place = "" if self.room is None else f" in the {self.room}"
         return f"{self.label}{place}, {self.distance:.1f} m, {side}"
 
@@ -80,18 +81,12 @@ def noisy_sightings(
     return kept
 
 
-def _side(bearing: float) -> str:
-    return "right" if bearing > 0 else "left"
-
-
 TEXT_CAMERA: Final = CameraConfig(width=128, height=128, normalized=False)
 """The default camera: that of VLN-CE at half the resolution."""
 LEAST_PIXELS: Final = 6
 """Least number of pixels of an object that are seen before it is named."""
 SAME_PLACE: Final = 1.0
 """Largest distance in metres between two sightings of one label that the memory merges into one object."""
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

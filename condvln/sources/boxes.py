@@ -16,9 +16,9 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, ValidationError, ValidationInfo, field_validator
 
+from condvln.arrays import F64
 from condvln.formats.json_document import parse_json
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
@@ -36,7 +36,6 @@ from schemas.errors import FormatError, InputError
 
 __all__ = ["BoxScene", "BoxesSource"]
 
-F64 = NDArray[np.float64]
 
 MAX_BYTES: Final = 64 << 20
 LARGEST: Final = 300.0

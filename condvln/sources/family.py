@@ -7,19 +7,19 @@ labels in ``condvln.labels``, and its name in ``schemas.config.Family``; ``CONTR
 
 from __future__ import annotations
 
-import csv
 import posixpath
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from typing import Final, Literal
 
 import orjson
 import yaml
+
+from condvln.own_tables import own_rows, own_text
 
 __all__ = [
     "FAMILIES",
@@ -73,7 +73,7 @@ class Family:
 
 @cache
 def _list_of(family: str) -> dict[str, SplitGroup]:
-    lists = orjson.loads((files("condvln.sources") / "official" / f"{family}.json").read_bytes())
+    lists = orjson.loads(own_text("condvln.sources", f"official/{family}.json"))
     return {scene: group for group in _GROUPS for scene in lists[group].split()}
 
 
@@ -144,7 +144,7 @@ _SPLITS: Final[dict[str, Callable[[str], SplitGroup | None]]] = {
 
 
 def _families() -> dict[str, Family]:
-    known = yaml.safe_load((files("condvln.sources") / "families.yaml").read_text(encoding="utf-8"))
+    known = yaml.safe_load(own_text("condvln.sources", "families.yaml"))
     return {family: Family(**facts, official_split=_SPLITS.get(family, _unlisted)) for family, facts in known.items()}
 
 
@@ -160,7 +160,6 @@ def composed_datasets(scenes: Iterable[str]) -> list[str]:
     return [FAMILIES[family].name for family in families if family in FAMILIES and FAMILIES[family].composed]
 
 
-_TABLE: Final = "downloads.csv"
 HABITAT_PROCTHOR: Final = "ai2thor-hab"
 """The name of Habitat's form of ProcTHOR in the table; it is not a family of its own."""
 
@@ -198,7 +197,6 @@ class Found:
 @cache
 def downloads(family: str) -> tuple[Download, ...]:
     """Return the kinds of files of a family, the required ones first."""
-    rows = csv.DictReader((files("condvln.sources") / _TABLE).read_text(encoding="utf-8").splitlines())
     found = [
         Download(
             family=row["family"],
@@ -208,7 +206,7 @@ def downloads(family: str) -> tuple[Download, ...]:
             source=row["from"],
             licence=row["licence"],
         )
-        for row in rows
+        for row in own_rows("condvln.sources", "downloads.csv")
         if row["family"] == family
     ]
     return tuple(sorted(found, key=lambda d: d.need != "required"))

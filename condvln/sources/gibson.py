@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import Room, Scene, SceneObject, SceneWarning, round_mm
@@ -25,7 +25,6 @@ from condvln.sources.source import MAX_OBJECTS, InputLedger
 
 __all__ = ["GibsonSource", "verified_twin"]
 
-F64 = NDArray[np.float64]
 
 VERIFIED: Final = "verified"
 AUTOMATED: Final = "automated"

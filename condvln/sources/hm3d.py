@@ -22,6 +22,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.csv_table import csv_columns
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.labels import vocabulary
@@ -38,7 +39,6 @@ from schemas.errors import FormatError, MissingFileError
 
 __all__ = ["Hm3dSource"]
 
-F64 = NDArray[np.float64]
 
 HEADING: Final = "HM3D Semantic Annotations"
 MAX_LIST_BYTES: Final = 64 << 20

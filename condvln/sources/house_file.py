@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 from typing import Final, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.json_document import MAX_COORDINATE
 from condvln.sources.source import MAX_OBJECTS
 from schemas.errors import FormatError
 
 __all__ = ["HouseFile", "HouseObject", "HouseRegion", "Panorama", "read_house_file"]
 
-F64 = NDArray[np.float64]
 
 VERSION: Final = "ASCII 1.1"
 _REMEDY = "Take the file from its dataset again"

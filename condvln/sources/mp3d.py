@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, Room, Scene, SceneObject, SceneWarning, round_mm
@@ -183,8 +184,6 @@ def _box(entry: HouseObject) -> OrientedBox | None:
         return None
     return OrientedBox(Z_UP_TO_HABITAT @ entry.centre, entry.half_lengths, Z_UP_TO_HABITAT @ entry.axes)
 
-
-F64 = NDArray[np.float64]
 
 GAP: Final = 0.05
 """Largest distance in metres between the boxes of two slices, and from a slice to the other one's region."""

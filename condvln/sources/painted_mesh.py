@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from condvln.arrays import F64, I64
 from condvln.formats.glb_part import GlbPart, Primitive, read_part
 from condvln.formats.json_document import MAX_COORDINATE
 from condvln.scene.boxes import transform_points
@@ -48,9 +49,6 @@ _BITS: Final = 15
 _OFFSET: Final = 1 << (_BITS - 1)
 _REMEDY: Final = "Take the file from its dataset again"
 
-F64 = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Paint:
@@ -63,8 +61,8 @@ class Paint:
     unnamed : share of the mesh's area whose colour belongs to no instance
     """
 
-    instance: Ints
-    body: Ints
+    instance: I64
+    body: I64
     low: F64
     high: F64
     area: F64
@@ -125,14 +123,14 @@ class _Palette:
         self._colours = np.array(sorted(colours), dtype=np.int64)
         self._numbers = np.array([colours[colour] for colour in sorted(colours)], dtype=np.int64)
 
-    def exact(self, colours: Ints) -> Ints:
+    def exact(self, colours: I64) -> I64:
         """Return the instance of each colour, −1 for none."""
         if not len(self._colours):
             return np.full(colours.shape, -1, np.int64)
         at = np.searchsorted(self._colours, colours).clip(max=len(self._colours) - 1)
         return np.where(self._colours[at] == colours, self._numbers[at], -1)
 
-    def near(self, colours: Ints) -> Ints:
+    def near(self, colours: I64) -> I64:
         """Return the instance of each colour, else the only one whose colour differs by at most `DRIFT` in each
         channel; −1 for none.
         """
@@ -146,7 +144,7 @@ class _Palette:
         return np.asarray(found[back].reshape(colours.shape), dtype=np.int64)
 
 
-def _channels(colours: NDArray[np.integer] | np.integer) -> Ints:
+def _channels(colours: NDArray[np.integer] | np.integer) -> I64:
     return np.stack([(colours >> 16) & 255, (colours >> 8) & 255, colours & 255], axis=-1).astype(np.int64)
 
 
@@ -245,7 +243,7 @@ def _pixels(data: bytes, mime: str, where: str) -> NDArray[np.uint8]:
         raise FormatError(f"a texture can't be decoded ({error!r:.120})", where=where, remedy=_REMEDY) from None
 
 
-def _texels(picture: NDArray[np.uint8] | None, places: F64) -> Ints:
+def _texels(picture: NDArray[np.uint8] | None, places: F64) -> I64:
     """Return the colours (n,) under texture coordinates (n, 2), which repeat beyond 0 to 1; −1 without a texture."""
     if picture is None:
         return np.full(len(places), NO_COLOUR, np.int64)
@@ -258,7 +256,7 @@ def _texels(picture: NDArray[np.uint8] | None, places: F64) -> Ints:
     return np.asarray((red << 16) | (green << 8) | blue, dtype=np.int64)
 
 
-def _vertex_instances(tints: F64 | None, way: str, palette: _Palette) -> Ints:
+def _vertex_instances(tints: F64 | None, way: str, palette: _Palette) -> I64:
     """Return the instance of each face: that of two corners at least, −1 for none."""
     if tints is None or way == TEXTURE:
         return np.zeros(0, np.int64)
@@ -277,7 +275,7 @@ def _areas(corners: F64) -> F64:
     return areas
 
 
-def _cut_all(corners: F64, coordinates: F64, where: str) -> Iterator[tuple[F64, Ints]]:
+def _cut_all(corners: F64, coordinates: F64, where: str) -> Iterator[tuple[F64, I64]]:
     """Yield triangles (n, 3, 5), position and texture coordinates, none with an edge longer than `CELL`, and the face
     (n,) that each is of.
     """
@@ -286,10 +284,10 @@ def _cut_all(corners: F64, coordinates: F64, where: str) -> Iterator[tuple[F64, 
         yield _cut(rows[start : start + FACES_AT_ONCE], CELL, where, start)
 
 
-def _cut_borders(rows: F64, picture: NDArray[np.uint8] | None, palette: _Palette, where: str) -> tuple[F64, Ints]:
+def _cut_borders(rows: F64, picture: NDArray[np.uint8] | None, palette: _Palette, where: str) -> tuple[F64, I64]:
     """Return triangles and their instances; those with several colours are cut to `FINE`."""
 
-    def named(places: F64) -> Ints:
+    def named(places: F64) -> I64:
         return palette.exact(_texels(picture, places))
 
     middle = named(rows[..., 3:].mean(axis=1))
@@ -300,12 +298,12 @@ def _cut_borders(rows: F64, picture: NDArray[np.uint8] | None, palette: _Palette
     return np.concatenate([rows[~mixed], fine]), np.concatenate([middle[~mixed], named(fine[..., 3:].mean(axis=1))])
 
 
-def _cut(rows: F64, longest: float, where: str, first: int = 0) -> tuple[F64, Ints]:
+def _cut(rows: F64, longest: float, where: str, first: int = 0) -> tuple[F64, I64]:
     """Halve triangles at the middle of their longest edge until no edge is longer than `longest`. Return them with the
     number of the triangle that each is of, counted from `first`.
     """
     small: list[F64] = []
-    owners: list[Ints] = []
+    owners: list[I64] = []
     owner = np.arange(first, first + len(rows))
     count = 0
     while len(rows):
@@ -329,13 +327,13 @@ def _cut(rows: F64, longest: float, where: str, first: int = 0) -> tuple[F64, In
 class _Table(NamedTuple):
     """Cells by key: the instance's number above three coordinates of the cell."""
 
-    key: Ints
+    key: I64
     low: F64
     high: F64
     area: F64
 
 
-def _gathered(instance: Ints, corners: F64, area: F64, where: str) -> _Table:
+def _gathered(instance: I64, corners: F64, area: F64, where: str) -> _Table:
     cell = np.floor(corners.mean(axis=1) / CELL).astype(np.int64) + _OFFSET
     if ((cell < 1) | (cell >= 2 * _OFFSET - 1)).any():
         raise FormatError(f"the mesh reaches beyond {_OFFSET * CELL:.0f} m", where=where, remedy=_REMEDY)
@@ -360,7 +358,7 @@ def _reduced(table: _Table) -> _Table:
     )
 
 
-def _bodies(key: Ints) -> Ints:
+def _bodies(key: I64) -> I64:
     """Return the connected piece of each cell: cells of one instance that touch."""
     pairs = []
     for x in (-1, 0, 1):

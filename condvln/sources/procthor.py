@@ -217,7 +217,9 @@ class ProcthorSource(Source):
         objects = [self._object(o, kinds[o.object_id]) for o in house.objects]
         placed, lost = _with_parents_rooms(objects, house, rooms)
         warnings = {*lost, *_assets_without_extent(house, kinds)}
-        warnings |= {SceneWarning(_snake(name), "metadata.warnings", text) for name, text in house.warnings}
+        for name, text in house.warnings:
+            code = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()  # fooBar becomes foo_bar
+            warnings.add(SceneWarning(code, "metadata.warnings", text))
         unnamed = {o.room_id for o in placed if o.raw_label == UNKNOWN_LABEL}
         # If some object has no label, no absence can be claimed.
         rooms = tuple(replace(r, complete=r.room_id not in unnamed) for r in rooms)
@@ -437,7 +439,3 @@ def _rooms_and_assets(data: bytes, where: str) -> tuple[int, list[str]]:
 
 def _fail(error: InputError, ledger: InputLedger) -> NoReturn:
     raise error
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

@@ -14,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.json_document import JsonNode, parse_json
 from condvln.scene.rotations import UNITY_TO_HABITAT, unity_rotation
@@ -31,7 +32,6 @@ __all__ = [
     "read_house",
 ]
 
-F64 = NDArray[np.float64]
 
 DOORFRAME: Final = "Doorframe"
 MAX_ANGLE: Final = 1e6

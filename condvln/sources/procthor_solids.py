@@ -14,8 +14,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.scene import OrientedBox
 from condvln.scene.boxes import rounded_box
 from condvln.scene.scene import round_mm
@@ -31,7 +31,6 @@ __all__ = [
     "walls_with_openings",
 ]
 
-F64 = NDArray[np.float64]
 
 WALL_THICKNESS: Final = 0.02
 """Wall thickness in metres. A house's walls are surfaces without thickness, with furniture directly against them."""

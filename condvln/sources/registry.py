@@ -22,15 +22,11 @@ from schemas.errors import ConfigError
 __all__ = ["READERS", "open_source"]
 
 READERS: Final[dict[str, type[Source]]] = {
-    "boxes": BoxesSource,
-    "gibson": GibsonSource,
-    "hm3d": Hm3dSource,
-    "hssd": HssdSource,
-    "ithor": IthorSource,
-    "mp3d": Mp3dSource,
-    "procthor": ProcthorSource,
-    "replicacad": ReplicaCadSource,
-    "robothor": RobothorSource,
+    reader.family: reader
+    for reader in (
+        *(BoxesSource, GibsonSource, Hm3dSource, HssdSource, IthorSource),
+        *(Mp3dSource, ProcthorSource, ReplicaCadSource, RobothorSource),
+    )
 }
 """The reader of each family."""
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from condvln.formats.csv_table import csv_columns
 from condvln.labels import vocabulary
@@ -36,7 +35,6 @@ __all__ = [
     "ReplicaCadSource",
 ]
 
-F64 = NDArray[np.float64]
 
 WHOLE_SCENE: Final = "apartment"
 """Id and label of the single room of a scene without region annotations."""

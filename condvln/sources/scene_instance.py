@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import MeshPart, SceneWarning
@@ -157,8 +158,6 @@ def _origin(node: JsonNode, default: Origin) -> Origin:
 
 _UP, _FRONT = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
 _MESH_SUFFIX: Final = ".glb"
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from condvln.arrays import F64, I64
 from condvln.formats.dataset_root import DatasetRoot
 from condvln.formats.glb import MAX_GLB_BYTES
 from condvln.formats.triangles import glb_triangles
@@ -34,8 +35,6 @@ __all__ = [
     "without_holes",
 ]
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
 BOX_FACES: Final = np.array(
     [

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.json_document import JsonNode
 from condvln.labels import vocabulary
 from condvln.scene import OrientedBox, SceneObject, round_mm
@@ -28,7 +28,6 @@ __all__ = [
     "wall_outline",
 ]
 
-F64 = NDArray[np.float64]
 
 MAX_METADATA_BYTES: Final = 256 << 20
 

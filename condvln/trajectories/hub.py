@@ -20,6 +20,7 @@ from condvln.formats.streams import JsonArrayStream, atomic_path, atomic_stream
 from condvln.navigation.follower import ActionSpace
 from condvln.trajectories.cameras import Cameras
 from condvln.trajectories.images import IMAGES, writing
+from schemas.base import Row
 from schemas.tables import TRAJECTORY_TABLES
 
 __all__ = [
@@ -35,8 +36,6 @@ __all__ = [
 ]
 
 ANNOTATIONS: Final = "annotations.json"
-
-Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.image_files import jpeg, png16
 from condvln.sensors import Frame, Renderer
 from condvln.sensors.camera import camera_pose, half_extents
@@ -40,7 +41,6 @@ __all__ = [
     "writing",
 ]
 
-F64 = NDArray[np.float64]
 
 IMAGES: Final = "images"
 """Folder of all images below the folder of the trajectories."""

@@ -10,9 +10,8 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,49 +19,34 @@ from numpy.typing import NDArray
 from condvln.navigation.follower import VLN_CE, ActionSpace
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
+from schemas.base import Row
 from schemas.config import TrajectoryConfig
 from schemas.errors import StoreError, UsageError
 
-__all__ = ["HUBS", "MEANINGS", "Meaning", "link", "main_image", "new_folder", "sized", "usable", "with_hub"]
-
-Row = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """What an agent's actions mean.
-
-    space : step forward in metres and turn in degrees
-    evidence : where its public code says so
-    """
-
-    space: ActionSpace
-    evidence: str
+__all__ = ["HUBS", "MEANINGS", "link", "main_image", "new_folder", "sized", "usable", "with_hub"]
 
 
 _FIFTEEN: Final = ActionSpace(forward=0.25, turn=15.0)
 _THIRTY: Final = ActionSpace(forward=0.25, turn=30.0)
 
-MEANINGS: Final[Mapping[str, Meaning]] = {
-    "streamvln": Meaning(
-        _FIFTEEN, "InternRobotics/StreamVLN: config/vln_r2r.yaml, and the prompt of streamvln/streamvln_eval.py"
-    ),
-    "snav": Meaning(_THIRTY, "TidalHarley/NavSpace: snav_training/data_generation/render_streamvln.py"),
-    "navila": Meaning(
-        _FIFTEEN, "AnjieCheng/NaVILA: evaluation/vlnce_baselines/navila_trainer.py divides by 25 cm and 15 degrees"
-    ),
-    "uninavid": Meaning(
-        _THIRTY,
-        "jzhzhang/NaVid-VLN-CE, where Uni-NaVid is evaluated: VLN_CE/habitat_extensions/config/"
-        "vlnce_task_navid_r2r.yaml; jzhzhang/Uni-NaVid: offline_eval_uninavid.py turns by 30 degrees a word",
-    ),
-    "janusvln": Meaning(_FIFTEEN, "MIV-XJTU/JanusVLN: config/vln_r2r.yaml"),
-    "internvla-n1": Meaning(
-        _FIFTEEN,
-        "InternRobotics/InternNav: scripts/eval/configs/vln_r2r.yaml; habitat_vln_evaluator.py looks down twice",
-    ),
+MEANINGS: Final[Mapping[str, ActionSpace]] = {
+    # InternRobotics/StreamVLN: config/vln_r2r.yaml, and the prompt of streamvln/streamvln_eval.py
+    "streamvln": _FIFTEEN,
+    # TidalHarley/NavSpace: snav_training/data_generation/render_streamvln.py
+    "snav": _THIRTY,
+    # AnjieCheng/NaVILA: evaluation/vlnce_baselines/navila_trainer.py divides by 25 cm and 15 degrees
+    "navila": _FIFTEEN,
+    # jzhzhang/NaVid-VLN-CE, where Uni-NaVid is evaluated: VLN_CE/habitat_extensions/config/vlnce_task_navid_r2r.yaml;
+    # jzhzhang/Uni-NaVid: offline_eval_uninavid.py turns by 30 degrees a word
+    "uninavid": _THIRTY,
+    # MIV-XJTU/JanusVLN: config/vln_r2r.yaml
+    "janusvln": _FIFTEEN,
+    # InternRobotics/InternNav: scripts/eval/configs/vln_r2r.yaml; habitat_vln_evaluator.py looks down twice
+    "internvla-n1": _FIFTEEN,
 }
-"""By layout. The layout ``lerobot`` says itself what its actions mean."""
+"""Step forward in metres and turn in degrees that an agent's actions mean, by layout. The layout ``lerobot`` says
+itself what its actions mean.
+"""
 
 HUBS: Final = ("streamvln", "snav")
 """Layouts that are the hub's own files, ``annotations.json`` and ``images/``; they differ in the sizes of actions."""
@@ -77,7 +61,7 @@ def sized(config: TrajectoryConfig, layouts: Sequence[str]) -> TrajectoryConfig:
     UsageError : two layouts mean different sizes, or the configuration sets others than a layout means; looking walks
         are not made of these sizes
     """
-    meant = {name: MEANINGS[name].space for name in layouts if name in MEANINGS}
+    meant = {name: MEANINGS[name] for name in layouts if name in MEANINGS}
     if not meant:
         return config
     first, space = next(iter(meant.items()))
@@ -109,7 +93,7 @@ def with_hub(layouts: Sequence[str], config: TrajectoryConfig) -> tuple[str, ...
     """Return the layouts with ``streamvln``, whose files cost nothing, where the walks are made of its actions."""
     space = ActionSpace(forward=config.forward, turn=config.turn)
     named = tuple(dict.fromkeys(layouts))
-    if set(named) & set(HUBS) or space != MEANINGS["streamvln"].space:
+    if set(named) & set(HUBS) or space != MEANINGS["streamvln"]:
         return named
     return ("streamvln", *named)
 

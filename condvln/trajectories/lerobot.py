@@ -18,10 +18,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from condvln.formats.streams import indented
 from condvln.trajectories.cameras import Cameras, is_depth
 from condvln.trajectories.hub import AddScene, Hub, SceneWalks
 from condvln.trajectories.images import writing
 from condvln.trajectories.layouts import new_folder
+from schemas.base import Row
 
 __all__ = ["lerobot"]
 
@@ -37,8 +39,6 @@ SAMPLED: Final = 50
 
 STATE: Final = ("x_metres", "y_metres", "z_metres", "heading_radians")
 _WALK_COLUMNS: Final = ("episode_id", "trajectory", "kind", "source", "scene_id")
-
-Row = Mapping[str, Any]
 
 
 @contextmanager
@@ -178,7 +178,7 @@ class _Dataset:
         }
         with self._writing():
             for name, document in (("info", info), ("stats", stats)):
-                (meta / f"{name}.json").write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2) + b"\n")
+                (meta / f"{name}.json").write_bytes(indented(document))
 
 
 def _features(cameras: Cameras) -> dict[str, dict[str, Any]]:
@@ -193,19 +193,12 @@ def _features(cameras: Cameras) -> dict[str, dict[str, Any]]:
     return found | {
         name: {"dtype": dtype, "shape": [1], "names": None}
         for name, dtype in {
-            "action": "int64",
-            "executed": "int64",
-            "repeats": "int64",
-            "leaf": "int64",
-            "looks_for": "int64",
+            **dict.fromkeys(("action", "executed", "repeats", "leaf", "looks_for"), "int64"),
             "distance_to_goal": "float32",
             "episode_id": "int64",
             "next.done": "bool",
             "timestamp": "float32",
-            "frame_index": "int64",
-            "episode_index": "int64",
-            "index": "int64",
-            "task_index": "int64",
+            **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64"),
         }.items()
     }
 

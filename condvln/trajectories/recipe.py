@@ -11,6 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from string import Template
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from condvln.formats.parquet_rows import refuse_parquet_bombs
 from condvln.formats.regular_file import read_regular
+from condvln.own_tables import own_text
 from condvln.sources.family import FAMILIES
 from condvln.trajectories.cameras import MAIN
 from condvln.trajectories.images import image_path
@@ -261,35 +263,19 @@ def read_me(split: str, terms: Mapping[str, Mapping[str, Any]], files: Sequence[
     images : whether the folder has images
     """
     closed = [row["name"] for row in terms.values() if not row["images_may_be_shared"]]
-    lines = [
-        "# Trajectories",
-        "",
-        f"Walks of the split `{split}`, made by `condvln trajectories`.",
-        "",
-        "| dataset | terms | images may be passed on | credit |",
-        "|---|---|---|---|",
+    rows = [
+        f"| {row['name']} | {row['terms']} | "
+        f"{'yes, under these terms' if row['images_may_be_shared'] else 'no'} | {row['credit']} |\n"
+        for row in terms.values()
     ]
-    for row in terms.values():
-        shared = "yes, under these terms" if row["images_may_be_shared"] else "no"
-        lines.append(f"| {row['name']} | {row['terms']} | {shared} | {row['credit']} |")
-    lines.append("")
     recipe = ", ".join(f"`{name}`" for name in files)
+    said = f"The recipe is in `recipe/`: {recipe}."
     if not images:
-        lines.append("This folder is a recipe: it has no images.")
+        said = "This folder is a recipe: it has no images."
     elif closed:
-        lines.append(
+        said = (
             f"**Do not pass on the images of {' and '.join(closed)}**, nor files made from them. What may be shared is "
             f"the recipe: {recipe}, also in `recipe/`."
         )
-    else:
-        lines.append(f"The recipe is in `recipe/`: {recipe}.")
-    lines += [
-        "",
-        "The recipe gives the same images again on a computer that has the datasets:",
-        "",
-        "```",
-        "condvln trajectories --from-recipe DIR --data FAMILY=DIR --out OUT",
-        "```",
-        "",
-    ]
-    return "\n".join(lines)
+    text = own_text("condvln.trajectories", "readme.md")
+    return Template(text).substitute(split=split, terms="".join(rows), said=said)

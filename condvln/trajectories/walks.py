@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, ActionSpace, FollowedRoute, Follower
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene.rotations import heading_of
@@ -39,7 +40,6 @@ __all__ = [
     "vector",
 ]
 
-F64 = NDArray[np.float64]
 Actions = NDArray[np.int8]
 
 DATASET: Final = "condvln"

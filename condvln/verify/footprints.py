@@ -17,6 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.kept import kept
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import OrientedBox, Room, Scene, SceneObject
@@ -40,7 +41,6 @@ __all__ = [
     "ground_points",
 ]
 
-F64 = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 _GROUND: Final = np.array([0, 2])

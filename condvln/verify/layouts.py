@@ -28,12 +28,12 @@ from condvln.formats.parquet_rows import refuse_parquet_bombs
 from condvln.formats.regular_file import open_regular, read_regular
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, ActionSpace
 from condvln.verify.trajectory_files import read_annotations
+from schemas.base import Row
 from schemas.errors import StoreError, UsageError
 from schemas.tables import TRAJECTORY_TABLES
 
 __all__ = ["DAMAGED", "HUBS", "MEANINGS", "LayoutProof", "Row", "WriteLayout", "meaning_of", "prove_layouts"]
 
-Row: TypeAlias = Mapping[str, Any]
 SceneTables: TypeAlias = tuple[str, str, Mapping[str, pa.Table]]
 """A scene's source, its id, and its tables of walks and poses."""
 WriteLayout: TypeAlias = Callable[[str, Path, Row, Iterable[SceneTables]], None]

@@ -17,8 +17,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import eyes_at
@@ -34,8 +34,6 @@ from schemas.evaluation import ManifestEpisode
 
 __all__ = ["check_looking"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 CORNER: Final = 0.002
 """Tolerance in metres of a point that is rounded to 1 mm, on its three axes."""

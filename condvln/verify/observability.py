@@ -29,8 +29,8 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.kept import kept
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import eyes_at
@@ -62,7 +62,6 @@ __all__ = [
     "stops_of",
 ]
 
-F64 = NDArray[np.float64]
 
 Surfaces = Callable[[], SceneGeometry | None]
 """Returns a scene's surfaces; None if its dataset has none."""

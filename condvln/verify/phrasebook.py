@@ -16,6 +16,7 @@ from typing import Any, Final, TypeVar
 import yaml
 
 from condvln.verify.words import package_data, words
+from schemas.base import Json
 
 __all__ = ["ENDS", "PAIRED", "Match", "Phrasebook", "WordReader", "parsed_once", "phrasebook"]
 
@@ -40,7 +41,6 @@ _ARTICLES: Final = {
     "{ningun}": "no",
 }
 
-Node = dict[str, Any]
 Match = tuple[int, str, frozenset[str]]
 """A phrase that begins at some word: its end, its value, and the noun classes that it agrees with."""
 
@@ -59,7 +59,7 @@ class Phrasebook:
     room_first : whether a room comes before "there is" ("en la cocina hay") and before the relation of a stop
     """
 
-    tree: Node
+    tree: Json
     contractions: Mapping[str, tuple[str, ...]]
     classes: frozenset[str]
     lying: bool

@@ -142,7 +142,7 @@ class PhraseReader(WordReader):
         for middle, _, classes in self.of(at, "that"):
             for end, label in self._agreeing(middle, "room", classes):
                 before = {room for place, room in self._set_apart() if place < at and room.label == label}
-                if len(before) == 1 and self._is_named_near(middle, label):
+                if len(before) == 1 and self._marks_since(middle, label) <= FARTHEST:
                     yield end, before.pop()
 
     def _in_its_room(self, at: int) -> Iterator[tuple[int, str, Named]]:
@@ -174,12 +174,6 @@ class PhraseReader(WordReader):
                     ends = dict(self._definite(after, "noun"))
                     if ends:
                         yield at, Named(label, ends[max(ends)])
-
-    def _is_named_near(self, noun: int, label: str) -> bool:
-        """Return whether the room of "that bedroom", whose noun is at word `noun`, is named by words that are at most
-        `FARTHEST` marks away: by "the bedroom with the desk", or by "that bedroom" again.
-        """
-        return self._marks_since(noun, label) <= FARTHEST
 
     def _marks_since(self, noun: int, label: str) -> int:
         """Return the number of marks between the noun of "that bedroom", at word `noun`, and the place before it where
@@ -291,42 +285,22 @@ class PhraseReader(WordReader):
                 for stop, qualifier in self._qualified(after):
                     yield stop, Phrase(label, qualifier, room), room
 
-    def _checked(self, at: int) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Parse what follows "check" in "check the bedroom for a lamp near the bed". Yield (end, claim, room named
-        last).
-        """
-        for end, room in self._rooms(at):
-            for after, _, classes in self.of(end, "for"):
-                for stop, label in self._agreeing(after, "noun", classes):
-                    for place, qualifier in self._qualified(stop):
-                        yield place, Phrase(label, qualifier, room), room
+    def _there(self, at: int, last: Named | None) -> Iterator[tuple[int, str, Named | None, Named | None]]:
+        """Parse an object that is known to exist. Yield (end, label, its room, room named last)."""
+        for end, label in self._definite(at, "noun"):
+            for after, room, named in self._where(end, last, belonging=True):
+                yield after, label, room, named
+        for after, label, room in self._in_its_room(at):
+            yield after, label, room, room
 
     def _known(self, slot: str | None, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
         """Parse claims such as "the lamp in the bedroom is near the bed". The verb is one of the phrases of `slot`;
         with `slot` None there is no verb.
         """
-        for end, label in self._definite(at, "noun"):
-            for after, room, named in self._where(end, last, belonging=True):
-                verbs = [after] if slot is None else [stop for stop, _, _ in self.of(after, slot)]
-                for verb in verbs:
-                    for stop, qualifier in self._related(verb):
-                        yield stop, Phrase(label, qualifier, room, True), named
-                    for stop, bearing, _ in self.of(verb, "bearing"):
-                        yield stop, Phrase(label, (bearing, ()), room, True), named
-        for after, label, room in self._in_its_room(at):
+        for after, label, room, named in self._there(at, last):
             for verb in [after] if slot is None else [stop for stop, _, _ in self.of(after, slot)]:
-                for stop, qualifier in self._related(verb):
-                    yield stop, Phrase(label, qualifier, room, True), room
-                for stop, bearing, _ in self.of(verb, "bearing"):
-                    yield stop, Phrase(label, (bearing, ()), room, True), room
-
-    def _looked_at(self, at: int, last: Named | None) -> Iterator[tuple[int, Phrase, Named | None]]:
-        """Parse what follows "find": an object that is known to exist. The answer says the relation."""
-        for end, label in self._definite(at, "noun"):
-            for after, room, named in self._where(end, last, belonging=True):
-                yield after, Phrase(label, None, room, True), named
-        for after, label, room in self._in_its_room(at):
-            yield after, Phrase(label, None, room, True), room
+                for stop, qualifier in self._relations(verb):
+                    yield stop, Phrase(label, qualifier, room, True), named
 
     def _relations(self, at: int) -> Iterable[tuple[int, _Qualifier]]:
         """Parse a relation or an egocentric direction behind a verb."""
@@ -382,9 +356,11 @@ class PhraseReader(WordReader):
                 if present:
                     yield stop, what, named
         for end, _, _ in self.of(at, "check"):
-            yield from self._checked(end)
+            for stop, room in self._rooms(end):
+                yield from self._some_in(room, "for", stop)
         for end, _, _ in self.of(at, "look_at"):
-            yield from self._looked_at(end, last)
+            for stop, label, own, named in self._there(end, last):
+                yield stop, Phrase(label, None, own, True), named
         yield from self._some("look", at, last)
         questions = [*self._some("is_there", at, last)]
         questions += [found for end, _, _ in self.of(at, "asks_is") for found in self._known(None, end, last)]

@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.follower import Follower, Length
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
@@ -28,7 +28,6 @@ from schemas.program import RoomRef
 
 __all__ = ["check_placement"]
 
-F64 = NDArray[np.float64]
 Pair = tuple[Point, Point]
 
 ROUNDING: Final = 1e-6
@@ -208,7 +207,7 @@ class _Checker:
             leaf, start = row.leaves[k], row.start_position
             stops = [stop.position for stop in leaf.subgoals]
             before = stops[-1] if stops else start
-            lead = stops[: self._leads(row, k)][-1:] or [start]
+            lead = stops[: len(_lead_rooms(row, k))][-1:] or [start]
             asked += [(start, goal) for goal in leaf.goals]
             asked += [(start, stop) for stop in stops]
             asked += [(before, goal) for goal in leaf.goals]
@@ -223,13 +222,8 @@ class _Checker:
             sizes = (len(leaf.goals), len(leaf.subgoals), len(leaf.goals), len(leaf.goals))
             direct, passed, last, led = ([*islice(metres, size)] for size in sizes)
             own = [*islice(routes, len(leaf.subgoals) + 1)]
-            shortest = min(led) + sum(leg for leg, _ in own[: self._leads(row, k)])
+            shortest = min(led) + sum(leg for leg, _ in own[: len(_lead_rooms(row, k))])
             self._check_route(row.start_position, leaf, direct, passed, last, shortest, own, certificate, f"leaf {k}")
-
-    @staticmethod
-    def _leads(row: ManifestEpisode, leaf: int) -> int:
-        """Return the number of leads on the way to a leaf."""
-        return len(_lead_rooms(row, leaf))
 
     def _check_route(
         self,

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, STOP, VLN_CE
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.verify.certificate import Certificate
@@ -99,8 +100,6 @@ def _scene_names(file: str, scene_id: str) -> tuple[str, str]:
     # HM3D numbers the folder of a scan, and its file has the scan's name alone.
     return scene.parent.name if scene.stem == f"{name.partition('-')[2]}{_BASIS}" else scene.stem, name
 
-
-F64 = NDArray[np.float64]
 
 ROUNDED: Final = 0.002
 """Tolerance in metres of a location: both sides of the comparison are rounded to 1 mm."""

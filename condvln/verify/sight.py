@@ -25,6 +25,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64, Bools
 from condvln.navigation.occluders import BoxOccluders, JoinedOccluders, MeshOccluders, Occluders
 from condvln.navigation.surface_samples import box_samples, mesh_samples
 from condvln.scene import Scene, SceneObject
@@ -45,8 +46,6 @@ from schemas.config.constants import (
 
 __all__ = ["Eyes", "Sight", "Sought", "absence_range", "evenly", "in_front", "in_range", "much", "rectangles"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 OWN_POINTS: Final = 64
 """Number of this package's own points on a surface, equal to the published number."""

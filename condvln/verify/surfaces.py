@@ -21,13 +21,13 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from condvln.arrays import F64
 from condvln.scene import SceneObject
 from condvln.scene.boxes import transform_points
 from condvln.scene.meshes import shared_library
 
 __all__ = ["Shapes", "SurfaceGauge"]
 
-F64 = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 LONGEST_EDGE: Final = 0.1

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.formats.image_files import encoders, jpeg, png16
 from condvln.formats.regular_file import read_regular
 from condvln.navigation.follower import STOP, ActionSpace, Follower
@@ -26,13 +27,12 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.sensors import Renderer
 from condvln.verify.layouts import DAMAGED, HUBS, WriteLayout, meaning_of, prove_layouts
 from condvln.verify.trajectory_files import read_annotations, read_record, read_table, walks_with_poses
+from schemas.base import Row
 from schemas.config import CameraConfig
 from schemas.evaluation import ManifestEpisode
 
 __all__ = ["TrajectoryFault", "TrajectoryProof", "TrajectoryWorld", "prove_trajectories"]
 
-Row = Mapping[str, Any]
-F64 = NDArray[np.float64]
 
 _CAMERA: Final = ("width", "height", "hfov", "eye_height", "look_down")
 _ANGLE: Final = 1e-9

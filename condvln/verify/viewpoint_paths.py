@@ -18,6 +18,7 @@ import shapely
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from condvln.arrays import F64
 from condvln.formats.json_entries import json_lines
 from condvln.formats.regular_file import read_regular
 from condvln.kept import kept
@@ -44,7 +45,6 @@ __all__ = [
     "prove_paths",
 ]
 
-F64 = NDArray[np.float64]
 
 REACH: Final = 3.0
 """R2R's success distance in metres, which is also the largest distance from a stop's viewpoint to its object's box, and

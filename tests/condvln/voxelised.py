@@ -13,7 +13,8 @@ from condvln.navigation.recast.builder import build_navmesh
 from condvln.navigation.settings import NavMeshSettings
 from condvln.samples import Layout
 from condvln.samples.replicacad import RADII
-from condvln.samples.solid import CORNERS, FACES, floor_boxes, piece_corners, wall_boxes
+from condvln.samples.solid import CORNERS, floor_boxes, piece_corners, wall_boxes
+from condvln.sources.solids import BOX_FACES
 
 
 def layout_triangles(layout: Layout) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -21,7 +22,7 @@ def layout_triangles(layout: Layout) -> tuple[NDArray[np.float64], NDArray[np.in
     shell = np.concatenate([floor_boxes(layout), wall_boxes(layout)])
     corners = np.take_along_axis(shell[:, :, None, :], CORNERS[None, None], axis=1)[:, 0]
     boxes = np.concatenate([corners, *(piece_corners(piece) for piece in layout.furniture)])
-    faces = FACES[None] + 8 * np.arange(len(boxes), dtype=np.int32)[:, None, None]
+    faces = BOX_FACES[None] + 8 * np.arange(len(boxes), dtype=np.int32)[:, None, None]
     return boxes.reshape(-1, 3), faces.reshape(-1, 3)
 
 

@@ -6,6 +6,7 @@ import json
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,12 +14,13 @@ from rich.console import Console
 
 from condvln.samples import make_samples
 from factory.store import open_store
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import CACHE_VARIABLE
 from schemas.config import Config, InstructionsConfig, SourceConfig, SplitsConfig
 from schemas.program import CATEGORIES
+from tests.once import made_once
 
 SCENES = 2
 
@@ -70,31 +72,41 @@ def made_scans(folder: Path, *, meshes: bool) -> Config:
 @pytest.fixture(scope="session")
 def scans_alone(tmp_path_factory: pytest.TempPathFactory) -> Config:
     """A run over scans of which only the annotation and the viewpoints are there; read only."""
-    return made_scans(tmp_path_factory.mktemp("alone"), meshes=False)
+    return made_once(tmp_path_factory, "scans alone", partial(made_scans, meshes=False))
 
 
 @pytest.fixture(scope="session")
 def made_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two made apartments in ReplicaCAD's format; read only."""
-    folder = tmp_path_factory.mktemp("made")
-    make_samples(folder, family="replicacad", scenes=SCENES, seed=3)
-    return folder
+
+    def make(folder: Path) -> Path:
+        make_samples(folder, family="replicacad", scenes=SCENES, seed=3)
+        return folder
+
+    return made_once(tmp_path_factory, "dataset", make)
 
 
 @pytest.fixture(scope="session")
 def made_run(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Report]:
     """The configuration and report of a clean run over the made dataset; read only."""
-    config = configuration(tmp_path_factory.mktemp("clean"), made_dataset)
-    return config, run_generate(config, inline=True)
+
+    def make(folder: Path) -> tuple[Config, Report]:
+        config = configuration(folder, made_dataset)
+        return config, run_generate(config, inline=True)
+
+    return made_once(tmp_path_factory, "run", make)
 
 
 @pytest.fixture(scope="module")
 def export(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An export of the made dataset, one a module."""
-    config, _ = made_run
-    out = tmp_path_factory.mktemp("export")
-    export_snapshot_of(config.model_copy(update={"export": out}))
-    return out
+
+    def make(folder: Path) -> Path:
+        run_export(made_run[0].model_copy(update={"export": folder / "export"}))
+        return folder
+
+    made, own = made_once(tmp_path_factory, "export", make), tmp_path_factory.mktemp("exported")
+    return Path(shutil.copytree(made, own, dirs_exist_ok=True), "export")
 
 
 @pytest.fixture(scope="module")

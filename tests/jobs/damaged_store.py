@@ -14,7 +14,7 @@ from typing import Any, Final
 from factory.index import Index
 from factory.snapshot import Snapshot, read_ref
 from factory.store import LocalStore
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.generate import run_generate
 from jobs.plan import make_plan
 from jobs.query import query_target
@@ -53,7 +53,7 @@ READERS: Final[dict[str, Callable[[Config], Report]]] = {
     "query": lambda config: query_target(Target.of(config), "SELECT source, count(*) FROM episodes GROUP BY source"),
     "show": lambda config: show_episodes(config, sample=3),
     "verify": _verify,
-    "export": export_snapshot_of,
+    "export": run_export,
 }
 REPAIRERS: Final[dict[str, Callable[[Config], Report]]] = {
     "generate": lambda config: run_generate(config, inline=True),

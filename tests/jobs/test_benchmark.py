@@ -33,6 +33,7 @@ from jobs.leaderboard import REFERENCES, score_benchmark
 from jobs.pipeline import code_versions
 from schemas.errors import ConfigError, FormatError, MissingFileError, UsageError
 from tests.ending import kill_driver
+from tests.once import made_once
 
 """Versions of stages that are past."""
 
@@ -58,16 +59,23 @@ def written(folder: Path, root: Path, **changes: Any) -> Path:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dataset")
-    make_samples(folder, family="replicacad", scenes=2, seed=5)
-    return folder
+
+    def make(folder: Path) -> Path:
+        make_samples(folder, family="replicacad", scenes=2, seed=5)
+        return folder
+
+    return made_once(tmp_path_factory, "dataset of the benchmark", make)
 
 
 @pytest.fixture(scope="module")
 def built(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """The benchmark's file and the report of its build; read only."""
-    path = written(tmp_path_factory.mktemp("built"), dataset)
-    return path, build_benchmark(path, inline=True)
+
+    def make(folder: Path) -> tuple[Path, Any]:
+        path = written(folder, dataset)
+        return path, build_benchmark(path, inline=True)
+
+    return made_once(tmp_path_factory, "benchmark", make)
 
 
 def test_a_build_says_what_it_is_and_what_it_lacks(built: tuple[Path, Any]) -> None:

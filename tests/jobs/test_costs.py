@@ -13,7 +13,7 @@ from benchmarks.costs import first_run
 from condvln.sources.family import FAMILIES
 from condvln.sources.registry import open_source
 from condvln.sources.source import SceneCounts
-from jobs.costs import COEFFICIENTS, FEATURES, stage_costs
+from jobs.costs import COEFFICIENTS, STAGES, stage_costs
 from jobs.pipeline import list_units
 from jobs.workspace import file_hashes, hasher
 from schemas.config import Config, InstructionsConfig, SourceConfig
@@ -43,7 +43,7 @@ def test_more_of_anything_never_costs_less(
         return stage_costs(family, SceneCounts(objects, rooms, navmesh, meshes), asked)
 
     least, more = seconds(objects, asked), seconds(objects + 10, asked + 10)
-    assert all(0 <= least[stage] <= more[stage] for stage in FEATURES)
+    assert all(0 <= least[stage] <= more[stage] for stage in STAGES)
 
 
 def test_a_huge_room_is_known_to_be_huge() -> None:
@@ -80,8 +80,8 @@ def test_first_runs_take_about_what_was_estimated(asked: int, real_data: Path, t
     for family in sorted(COEFFICIENTS):
         first_run(family, real_data / family, asked, tmp_path / "kernels", 1)
         found = first_run(family, real_data / family, asked, tmp_path, 6)
-        assert set(found.stages) == set(FEATURES)
-        ratios[family] = found.ratio(*FEATURES)
+        assert set(found.stages) == set(STAGES)
+        ratios[family] = found.ratio(*STAGES)
     middle = statistics.median(ratios.values())
     assert 1 / 4 < middle < 4, ratios
     assert all(1 / 3 < ratio / middle < 3 for ratio in ratios.values()), ratios
@@ -94,6 +94,6 @@ def test_a_unit_carries_the_estimate_of_each_stage(tmp_path: Path, real_data: Pa
         return [dict(unit.costs) for unit in list_units(wanted, hasher(file_hashes(wanted)))]
 
     few, many = listed(2), listed(40)
-    assert all(set(costs) == set(FEATURES) for costs in few)
+    assert all(set(costs) == set(STAGES) for costs in few)
     assert all(few[at]["scene"] == many[at]["scene"] for at in range(len(few)))
     assert sum(sum(c.values()) for c in few) < sum(sum(c.values()) for c in many)

@@ -13,7 +13,7 @@ import pytest
 from condvln.export.staging import alone_in
 from condvln.formats.json_entries import read_unpacked
 from jobs.configuration import load_config
-from jobs.export import export_snapshot_of, graphs_of
+from jobs.export import graphs_of, run_export
 from jobs.generate import run_generate
 from jobs.rebuild import run_rebuild
 from jobs.report import Report
@@ -26,7 +26,7 @@ from schemas.program import CATEGORIES, SHAPES
 def test_shards_groups_and_shortfalls_are_the_configurations(made_run: tuple[Config, Report], tmp_path: Path) -> None:
     config, _ = made_run
     splits = SplitsConfig(sharded=True, scenes={"val_unseen": ("replicacad/*",)}, per_cell=3)
-    report = export_snapshot_of(config.model_copy(update={"export": tmp_path / "out", "splits": splits}))
+    report = run_export(config.model_copy(update={"export": tmp_path / "out", "splits": splits}))
     counts = report.document["episodes"]
     assert {split for split, count in counts.items() if count} == {"val_unseen"}
     folder = tmp_path / "out" / "vlnce" / "val_unseen"
@@ -48,14 +48,14 @@ def test_a_category_of_which_nothing_is_kept_is_said_with_why_and_what_to_do(
 ) -> None:
     config, _ = made_run
     lone = SplitsConfig(max_tokens=None, scenes={"test": ("*/*",)})
-    report = export_snapshot_of(config.model_copy(update={"export": tmp_path / "out", "splits": lone}))
+    report = run_export(config.model_copy(update={"export": tmp_path / "out", "splits": lone}))
     (section,) = [section for section in report.sections if section.title == "Categories"]
     assert {row[0] for row in section.rows} == {*config.instructions.per_category} < {*CATEGORIES}
     for name, wanted, placed, kept, reasons in section.rows:
         assert wanted > 0 < placed >= kept == report.document["shapes"]["test"]["category"].get(name, 0)
         assert placed - kept == sum(report.document["lost"].get(name, {}).values())
         assert bool(reasons) is (placed > kept)
-    none = export_snapshot_of(
+    none = run_export(
         config.model_copy(update={"export": tmp_path / "none", "splits": SplitsConfig(max_tokens=30, bias="off")})
     )
     lost = [line for line in none.lines if line.startswith("WARNING: no episode of")]
@@ -84,14 +84,14 @@ def test_connectivity_is_where_the_configuration_says(tmp_path: Path) -> None:
 def test_one_export_at_a_time_writes_a_folder(made_run: tuple[Config, Report], tmp_path: Path) -> None:
     """Two would write the same provisional files, and one's half could end under the other's final name."""
     config = made_run[0].model_copy(update={"export": tmp_path / "out"})
-    export_snapshot_of(config)
+    run_export(config)
     before = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
     with (
         alone_in(tmp_path / "out"),
         pytest.raises(StoreError, match=r"another .* is writing this folder"),
     ):
-        export_snapshot_of(config)
-    export_snapshot_of(config)  # and who is done holds it no more
+        run_export(config)
+    run_export(config)  # and who is done holds it no more
     assert before == {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
 
 
@@ -126,7 +126,7 @@ def test_a_missing_partition_of_a_snapshot_is_refused(made_run: tuple[Config, Re
     (folder,) = store.glob("snapshots/*/instructions/source=*")
     shutil.rmtree(folder)
     with pytest.raises(CondVLNError, match=r"instructions/source=.*: the file is missing"):
-        export_snapshot_of(made_run[0].model_copy(update={"store": store, "export": tmp_path / "out"}))
+        run_export(made_run[0].model_copy(update={"store": store, "export": tmp_path / "out"}))
     assert not (tmp_path / "out").exists()
 
 
@@ -137,10 +137,10 @@ def test_a_snapshot_with_fewer_rows_than_it_says_stays(made_run: tuple[Config, R
     table = pq.ParquetFile(part).read()
     pq.write_table(table.slice(1), part)
     with pytest.raises(CondVLNError, match=r"episodes.*differ from their recorded hash"):
-        export_snapshot_of(config)
+        run_export(config)
     data = part.read_bytes()
     part.write_bytes(data[:100] + b"?" * (len(data) // 2) + data[100 + len(data) // 2 :])
     with pytest.raises(CondVLNError, match="rebuild"):
-        export_snapshot_of(config)
+        run_export(config)
     assert not (tmp_path / "out").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store"]

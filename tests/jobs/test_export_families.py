@@ -19,6 +19,7 @@ from jobs.validate import validate_files
 from tests.condvln.evaluation.test_ladder import check_ladder
 from tests.jobs.conftest import made_config
 from tests.jobs.test_oracle import differences
+from tests.once import made_once
 from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split
 
 pytestmark = pytest.mark.soak
@@ -30,12 +31,15 @@ PER_CATEGORY = 10
 @pytest.fixture(scope="module", params=sorted(FAMILIES))
 def family(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with ``data`` and ``export`` of one family."""
-    folder = tmp_path_factory.mktemp(request.param)
-    config = made_config(folder, request.param, SCENES, seed=5, episodes=PER_CATEGORY)
-    report = run_generate(config, inline=True, console=Console(quiet=True))
-    assert report.document["counts"]["quarantined"] == 0, report.document["quarantined"]
-    assert (folder / "export" / "export.json").exists(), report.lines
-    return folder
+
+    def make(folder: Path) -> Path:
+        config = made_config(folder, request.param, SCENES, seed=5, episodes=PER_CATEGORY)
+        report = run_generate(config, inline=True, console=Console(quiet=True))
+        assert report.document["counts"]["quarantined"] == 0, report.document["quarantined"]
+        assert (folder / "export" / "export.json").exists(), report.lines
+        return folder
+
+    return made_once(tmp_path_factory, f"export of {request.param}", make)
 
 
 def test_its_export_is_clean_and_stands_on_its_navmeshes(family: Path) -> None:

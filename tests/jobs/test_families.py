@@ -25,7 +25,7 @@ BUILT = {"boxes", "procthor", "ithor", "robothor"}
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))
 def test_a_family_yields_and_is_proven(family: str, tmp_path: Path) -> None:
-    config = made_config(tmp_path, family, 2, episodes=4)
+    config = made_config(tmp_path, family, 1, episodes=4)
     report = run_generate(config, inline=True, console=Console(file=io.StringIO()))
     assert report.exit_code == 0
     snapshot = published(config)

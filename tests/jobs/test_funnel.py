@@ -24,6 +24,7 @@ from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.workspace import published
 from schemas.config import Config, EpisodeConfig, InstructionCell, InstructionsConfig, PlacesConfig
+from tests.once import made_once
 
 runner = CliRunner()
 
@@ -169,21 +170,24 @@ def published_after(config: Config):
 
 @pytest.fixture(scope="module")
 def celled(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
-    folder = tmp_path_factory.mktemp("cells")
     cells = [
         InstructionCell(category="simple", moves=2, observability="O0", count=3),
         InstructionCell(category="long_chain", composition="C0", moves=2, count=4),
         InstructionCell(category="nested", route=(4.0, 14.0), words=(55, 95), count=3),
     ]
-    config = Config(
-        name="cells",
-        store=folder / "store",
-        export=folder / "export",
-        sources=({"family": "replicacad", "root": made_dataset},),
-        instructions=InstructionsConfig(per_category={"simple": 90, "chain": 4}, cells=cells),
-    )
-    assert run_generate(config, inline=True).exit_code == 0
-    return config
+
+    def make(folder: Path) -> Config:
+        config = Config(
+            name="cells",
+            store=folder / "store",
+            export=folder / "export",
+            sources=({"family": "replicacad", "root": made_dataset},),
+            instructions=InstructionsConfig(per_category={"simple": 90, "chain": 4}, cells=cells),
+        )
+        assert run_generate(config, inline=True).exit_code == 0
+        return config
+
+    return made_once(tmp_path_factory, "cells", make)
 
 
 def test_a_cell_is_had_or_its_shortfall_is_told(celled: Config) -> None:

@@ -21,6 +21,7 @@ from jobs.workspace import alone, open_store
 from schemas.config import Config
 from schemas.errors import StoreError
 from tests.jobs.conftest import made_config
+from tests.once import made_once
 
 HOUSES = 2
 
@@ -28,10 +29,13 @@ HOUSES = 2
 @pytest.fixture(scope="module")
 def houses(tmp_path_factory: pytest.TempPathFactory) -> Config:
     """Two made houses whose navmeshes are built, published and exported; read only."""
-    episodes = {"simple": 3, "nested": 2}
-    config = made_config(tmp_path_factory.mktemp("houses"), "procthor", HOUSES, episodes=episodes, name="made")
-    assert run_generate(config, inline=True).exit_code == 0
-    return config
+
+    def make(folder: Path) -> Config:
+        config = made_config(folder, "procthor", HOUSES, episodes={"simple": 3, "nested": 2}, name="made")
+        assert run_generate(config, inline=True).exit_code == 0
+        return config
+
+    return made_once(tmp_path_factory, "lost files", make)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,12 @@ from condvln.navigation.graph_pathfinder import read_connectivity
 from condvln.sources.registry import open_source
 from condvln.verify.certificate import Certificate, VerifierRules
 from condvln.verify.viewpoint_paths import ProvenScan, ViewpointMap
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.verify import verify_export
 from schemas.config import Config
 from schemas.evaluation import ManifestEpisode
 from tests.jobs.conftest import made_scans
+from tests.once import made_once
 
 Document = dict[str, Any]
 LEAST = 0.99
@@ -37,7 +39,7 @@ def alone(scans_alone: Config) -> Config:
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Config:
-    return made_scans(tmp_path_factory.mktemp("both"), meshes=True)
+    return made_once(tmp_path_factory, "scans with meshes", partial(made_scans, meshes=True))
 
 
 @pytest.fixture
@@ -379,9 +381,9 @@ def test_a_record_or_a_folder_that_is_lost_is_noticed(alone: Config, folder: Pat
 def test_certificates_of_paths_alone_are_kept_where_the_files_stay_the_same(alone: Config, folder: Path) -> None:
     config = alone.model_copy(update={"export": folder})
     assert verify_export(config, folder).exit_code == 0
-    export_snapshot_of(config)
+    run_export(config)
     assert (folder / "certificates/paths.jsonl").is_file()
     index = folder / "certificates/summary.json"
     index.write_text(index.read_text().replace('"viewpoints/R2R_test.json": "', '"viewpoints/R2R_test.json": "0'))
-    export_snapshot_of(config)
+    run_export(config)
     assert not (folder / "certificates/paths.jsonl").exists()

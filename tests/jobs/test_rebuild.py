@@ -24,6 +24,7 @@ from jobs.status import target_status
 from jobs.watch import Watch
 from jobs.workspace import CACHE_VARIABLE, Target, open_store
 from schemas.config import Config, InstructionsConfig, KeepConfig, SourceConfig, SplitsConfig
+from tests.once import made_once
 
 UNCHANGED = "no name, size or time of a file changed"
 
@@ -47,11 +48,14 @@ def settle(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def first(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Report]:
     """Two scenes, published and exported by a first rebuild; read only."""
-    folder = tmp_path_factory.mktemp("first")
-    shutil.copytree(made_dataset, folder / "dataset")
-    settle(folder / "dataset")
-    config = configuration(folder, export=folder / "export")
-    return config, run_rebuild(config, inline=True, if_changed=True)
+
+    def make(folder: Path) -> tuple[Config, Report]:
+        shutil.copytree(made_dataset, folder / "dataset")
+        settle(folder / "dataset")
+        config = configuration(folder, export=folder / "export")
+        return config, run_rebuild(config, inline=True, if_changed=True)
+
+    return made_once(tmp_path_factory, "first rebuild", make)
 
 
 @pytest.fixture

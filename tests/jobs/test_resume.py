@@ -16,7 +16,7 @@ from jobs.configuration import load_config
 from jobs.generate import run_generate
 from tests.ending import kill_driver
 
-SCENES = 5
+SCENES = 3
 
 
 def written(folder: Path, root: Path, name: str) -> Path:

@@ -17,7 +17,8 @@ from jobs.workspace import published
 from schemas.config import Config, SourceConfig
 from schemas.errors import FormatError, MissingFileError, UsageError
 from schemas.program import CATEGORIES
-from tests.jobs.conftest import configuration
+from tests.jobs.conftest import configuration, remove
+from tests.once import made_once
 
 KEYS = st.tuples(st.sampled_from(CATEGORIES), st.sampled_from(("gibson", "ithor", "procthor")))
 
@@ -72,16 +73,17 @@ def test_an_export_tells_what_the_snapshot_tells(made_run: tuple[Config, Report]
 @pytest.fixture(scope="module")
 def half_placed(made_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
     """A run over apartments with navmeshes and over scans without."""
-    folder = tmp_path_factory.mktemp("half")
-    make_samples(folder / "scans", family="gibson", scenes=1, seed=3)
-    for pattern in ("*.glb", "*.navmesh"):
-        for path in (folder / "scans").rglob(pattern):
-            path.unlink()
-    scans = SourceConfig(family="gibson", root=folder / "scans")
-    apartments = SourceConfig(family="replicacad", root=made_dataset)
-    config = configuration(folder, made_dataset, sources=(apartments, scans))
-    assert run_generate(config, inline=True).exit_code == 0
-    return config
+
+    def make(folder: Path) -> Config:
+        make_samples(folder / "scans", family="gibson", scenes=1, seed=3)
+        remove(folder / "scans", "*.glb", "*.navmesh")
+        scans = SourceConfig(family="gibson", root=folder / "scans")
+        apartments = SourceConfig(family="replicacad", root=made_dataset)
+        config = configuration(folder, made_dataset, sources=(apartments, scans))
+        assert run_generate(config, inline=True).exit_code == 0
+        return config
+
+    return made_once(tmp_path_factory, "half placed", make)
 
 
 def test_where_no_navmesh_is_instructions_stand_for_episodes(half_placed: Config, tmp_path: Path) -> None:

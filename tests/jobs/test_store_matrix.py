@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import re
-from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,7 @@ from schemas.config import Config
 from schemas.errors import CondVLNError
 from tests.jobs.conftest import made_config
 from tests.jobs.damaged_store import DAMAGES, KINDS, READERS, VERBS, Built, settle, told
+from tests.once import made_once
 
 QUICK = {"plan", "status", "query"}
 """Verbs of the part that every test run has; ``generate`` beside them after a removal."""
@@ -34,21 +36,22 @@ CASES = [
     for verb in VERBS
 ]
 
-outcomes: Counter[tuple[str, str]] = Counter()
-"""(kind of file, what became of it) of the cases of this process."""
 
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Built]:
+def made_matrix(folder: Path) -> Built:
     """Two made houses whose navmeshes are built, published twice and exported."""
-    folder = tmp_path_factory.mktemp("matrix")
     config = made_config(folder, "procthor", 2, episodes={"simple": 2}, name="made", store=folder / "none")
     settle(folder / "data")
     scenes = [unit.unit_id.split("/", 1)[1] for unit in listed_units(config)]
-    yield Built.make(folder, config, scenes)
-    print(f"\nstore matrix: {sum(outcomes.values())} cases here")
-    for (kind, outcome), count in sorted(outcomes.items()):
-        print(f"  {kind:15s} {outcome:12s} {count}")
+    return Built.make(folder, config, scenes)
+
+
+@pytest.fixture
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Built]:
+    """The made houses, which one case at a time may damage."""
+    made = made_once(tmp_path_factory, "matrix", made_matrix)
+    with (made.aside.parent / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield made
 
 
 def names_file_and_remedy(text: str) -> bool:
@@ -76,28 +79,21 @@ def test_damage_is_healed_or_told(built: Built, kind: str, damage: str, verb: st
         assert exit_code != 0
         assert names_file_and_remedy(said), said
         assert built.exported() == exported, "an error leaves the export as it was"
-        outcomes[kind, "error"] += 1
         return
     if kind == "ref" and damage == "older" and verb in READERS:
-        outcomes[kind, "older state"] += 1  # consistent in itself: what was published then is what is read
-        return
+        return  # consistent in itself: what was published then is what is read
     assert built.exported() == exported
     if verb in READERS:
         answer = told(verb, report)
         if verb == "plan" and answer != built.answers[verb]:
             assert answer["damaged"] or answer["reasons"] == {"damaged": 1} or kind == "ref", answer
-            outcomes[kind, "planned"] += 1
             return
         assert answer == built.answers[verb]
-        outcomes[kind, "not concerned"] += 1
         return
     if path.exists() and path.read_bytes() == wrong:
         # Nobody read it, and its size is as it was: nothing was lost by it, and --verify finds it.
         assert damage in ("changed", "older")
-        outcomes[kind, "left"] += 1
         done = run_rebuild(built.config, inline=True, verify=True)
         assert done.exit_code == 0, done.lines
-    else:
-        outcomes[kind, "healed"] += 1
     assert built.rows() == rows
     assert built.exported() == exported

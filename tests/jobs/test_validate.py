@@ -14,7 +14,7 @@ from condvln.formats.json_entries import read_unpacked
 from condvln.navigation.graph_pathfinder import read_connectivity
 from condvln.samples import make_samples
 from jobs.command import app
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.report import Report
 from jobs.validate import validate_files
 from jobs.verify import verify_export
@@ -155,7 +155,7 @@ def test_certificates_beside_the_episodes_are_no_episodes(
     made_run: tuple[Config, Report], tmp_path: Path, made_dataset: Path
 ) -> None:
     config, _ = made_run
-    export_snapshot_of(config.model_copy(update={"export": tmp_path}))
+    run_export(config.model_copy(update={"export": tmp_path}))
     before = validate_files(tmp_path, [made_dataset])
     assert verify_export(config, tmp_path).exit_code == 0
     assert (tmp_path / "certificates" / "summary.json").is_file()

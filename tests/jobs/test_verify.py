@@ -19,19 +19,24 @@ import jobs.verify
 from condvln.export.contents import CERTIFICATES, INDEX, SUMMARY
 from condvln.formats.regular_file import open_regular
 from condvln.verify import Certificate
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.report import Report
 from jobs.verify import verify_export
 from schemas.config import Config
 from tests.jobs.test_full_disk import files_of_at_most
+from tests.once import made_once
 
 
 @pytest.fixture(scope="module")
 def made(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Config:
     """The made configuration with an export; read only."""
-    config = made_run[0].model_copy(update={"export": tmp_path_factory.mktemp("exported") / "out"})
-    assert export_snapshot_of(config).exit_code == 0
-    return config
+
+    def make(folder: Path) -> Config:
+        config = made_run[0].model_copy(update={"export": folder / "out"})
+        assert run_export(config).exit_code == 0
+        return config
+
+    return made_once(tmp_path_factory, "verified", make)
 
 
 @pytest.fixture
@@ -134,7 +139,7 @@ def test_an_episode_that_the_snapshot_does_not_have_is_named(made: Config, folde
 def test_an_export_of_a_file_a_scene_is_proven_too(made: Config, tmp_path: Path) -> None:
     splits = made.splits.model_copy(update={"sharded": True})
     config = made.model_copy(update={"export": tmp_path / "sharded", "splits": splits})
-    export_snapshot_of(config)
+    run_export(config)
     assert faults(config, tmp_path / "sharded") == []
     assert verify_export(config, tmp_path / "sharded").document["proven"] > 0
     shard = next((tmp_path / "sharded").glob("vlnce/*/content/*.json.gz"))

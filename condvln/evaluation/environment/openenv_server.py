@@ -100,15 +100,8 @@ class NavigationEnvironment(Environment):  # type: ignore[misc]
         """
         tools = self._begun(episode_id)
         try:
-            match action.tool:
-                case "forward":
-                    text = tools.forward(action.steps)
-                case "turn":
-                    text = tools.turn(action.degrees)
-                case "look":
-                    text = tools.look()
-                case "stop":
-                    text = tools.stop()
+            arguments = {"forward": (action.steps,), "turn": (action.degrees,)}.get(action.tool, ())
+            text = getattr(tools, action.tool)(*arguments)
         except (ValueError, UsageError) as fault:
             text = str(fault)
         return self._observation(text)

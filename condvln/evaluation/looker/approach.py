@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from condvln.evaluation.looker.floor_map import CELL, F64, Bools, Ground, Ways
+from condvln.arrays import F64, Bools
+from condvln.evaluation.looker.floor_map import CELL, Ground, Ways
 from condvln.evaluation.looker.memory import Thing
 from schemas.config.constants import FURNITURE_DETOUR
 

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from condvln.evaluation.looker.floor_map import CELL, F64, Bools, Ground, Ways, open_areas
+from condvln.arrays import F64, Bools
+from condvln.evaluation.looker.floor_map import CELL, Ground, Ways, open_areas
 from condvln.evaluation.looker.memory import Referents, Thing
 from condvln.instructions.text_reading import Phrase
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, VLN_CE

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from shapely import Polygon, contains_xy
 
+from condvln.arrays import F64
 from condvln.labels import Vocabulary, vocabulary
 from condvln.scene import Scene
 from condvln.seeding import generator
@@ -23,7 +24,6 @@ from schemas.config import CameraConfig, LookerConfig, NoiseConfig
 
 __all__ = ["GHOST", "Eyes", "Look", "RoomLookup", "SeenView"]
 
-F64 = NDArray[np.float64]
 
 GHOST: Final = 1_000_000
 """First instance number of false detections."""

@@ -12,12 +12,11 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from condvln.arrays import F64, Bools
 from condvln.evaluation.looker.eyes import Look, SeenView
 
 __all__ = ["CELL", "HALF", "FloorMap", "Ground", "Ways", "least_costs", "open_areas"]
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 CELL: Final = 0.1
 """Cell size and agent radius in metres."""

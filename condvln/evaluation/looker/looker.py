@@ -10,10 +10,11 @@ from typing import Final
 
 import numpy as np
 
+from condvln.arrays import F64
 from condvln.evaluation.looker.approach import Approach, approach
 from condvln.evaluation.looker.exploring import ARRIVED, Explorer, Here, Steering
 from condvln.evaluation.looker.eyes import Look
-from condvln.evaluation.looker.floor_map import F64, FloorMap, Ground, Ways
+from condvln.evaluation.looker.floor_map import FloorMap, Ground, Ways
 from condvln.evaluation.looker.memory import Compared, Memory, Referents, Thing, gap, ranked
 from condvln.instructions import parse
 from condvln.instructions.language import LANGUAGES

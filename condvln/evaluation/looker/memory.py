@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely import MultiPoint
 
+from condvln.arrays import F64
 from condvln.evaluation.looker.eyes import Look
 from condvln.instructions.text_reading import Phrase, Place
 from condvln.relations.decisions import OF_SOME_PIECE, TURNED, bounds_of, halfway
@@ -29,7 +30,6 @@ from schemas.program import BEARINGS, Predicate
 
 __all__ = ["GRAIN", "Compared", "Memory", "Referents", "Thing", "gap", "holds", "ranked"]
 
-F64 = NDArray[np.float64]
 
 GRAIN: Final = 0.05
 """Edge in metres of the voxels that store an object's surface."""

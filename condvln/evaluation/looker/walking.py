@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from condvln.arrays import F64
 from condvln.evaluation.looker.eyes import Eyes
 from condvln.evaluation.looker.looker import Looker
 from condvln.evaluation.predictions import Prediction
@@ -21,8 +21,6 @@ from condvln.sensors import noisy_pose
 from schemas.config import LookerConfig
 
 __all__ = ["LookerWalk", "LookingAgent"]
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

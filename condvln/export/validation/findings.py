@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any, Final, Literal, cast
+
+from condvln.own_tables import own_rows
 
 __all__ = [
     "CODES",
@@ -34,13 +34,10 @@ class Rule:
     remedy: str
 
 
-def _read_codes() -> dict[str, Rule]:
-    table = files("condvln.export.validation").joinpath("codes.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(table.splitlines())
-    return {row["code"]: Rule(cast(Severity, row["severity"]), row["remedy"]) for row in rows}
-
-
-CODES: Final = _read_codes()
+CODES: Final = {
+    row["code"]: Rule(cast(Severity, row["severity"]), row["remedy"])
+    for row in own_rows("condvln.export.validation", "codes.csv")
+}
 """Every code with its severity and remedy, from ``codes.csv``."""
 
 

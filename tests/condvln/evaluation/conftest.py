@@ -17,6 +17,7 @@ from condvln.sources.registry import open_source
 from condvln.world import open_world
 from schemas.config import InstructionsConfig
 from schemas.program import SHAPES, Condition, Leaf, ObjectRef, Program, RoomRef
+from tests.once import made_once
 
 L_VERTICES = [[0, 0, 0], [4, 0, 0], [4, 0, 2], [2, 0, 2], [0, 0, 2], [2, 0, 4], [0, 0, 4]]
 L_POLYGONS = [[0, 1, 2, 3, 4], [4, 3, 5, 6]]
@@ -137,13 +138,17 @@ def task_with(
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, Path]:
     """An export of two made scenes with shipped navmeshes, and the folder of its dataset."""
-    root = tmp_path_factory.mktemp("environment")
-    make_samples(root / "replicacad", family="replicacad", scenes=2, seed=3)
-    source = open_source("replicacad", root / "replicacad")
-    wanted = InstructionsConfig(per_category={"simple": 4, "chain": 3, "nested": 3}, counterfactual_groups=0)
-    rows = [row for name in source.scene_ids() for row in open_world(source, name).episodes(instructions=wanted)]
-    assert len({row.scene_id for row in rows}) == 2
-    (root / "export" / "manifest").mkdir(parents=True)
-    text = "".join(row.model_dump_json() + "\n" for row in rows)
-    (root / "export" / "manifest" / "train.jsonl").write_text(text, encoding="utf-8")
+
+    def make(root: Path) -> Path:
+        make_samples(root / "replicacad", family="replicacad", scenes=2, seed=3)
+        source = open_source("replicacad", root / "replicacad")
+        wanted = InstructionsConfig(per_category={"simple": 4, "chain": 3, "nested": 3}, counterfactual_groups=0)
+        rows = [row for name in source.scene_ids() for row in open_world(source, name).episodes(instructions=wanted)]
+        assert len({row.scene_id for row in rows}) == 2
+        (root / "export" / "manifest").mkdir(parents=True)
+        text = "".join(row.model_dump_json() + "\n" for row in rows)
+        (root / "export" / "manifest" / "train.jsonl").write_text(text, encoding="utf-8")
+        return root
+
+    root = made_once(tmp_path_factory, "environment", make)
     return open_export(root / "export", (root / "replicacad",)), root / "replicacad"

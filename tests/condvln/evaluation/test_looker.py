@@ -456,7 +456,11 @@ def test_the_command_walks_it_with_errors_and_refuses_what_it_cannot_read(
     made: tuple[Export, Path], tmp_path: Path
 ) -> None:
     runner = CliRunner()
-    words = ["walk", str(made[0].folder), "train", "--agent", "looker", "--out", str(tmp_path / "looker.json")]
+    manifest = tmp_path / "export" / "manifest" / "train.jsonl"
+    manifest.parent.mkdir(parents=True)
+    rows = (made[0].folder / "manifest" / "train.jsonl").read_bytes().splitlines(keepends=True)
+    manifest.write_bytes(b"".join(rows[::5]))
+    words = ["walk", str(tmp_path / "export"), "train", "--agent", "looker", "--out", str(tmp_path / "looker.json")]
     for wrong in (
         [],
         ["--scenes", "replicacad"],
@@ -469,4 +473,4 @@ def test_the_command_walks_it_with_errors_and_refuses_what_it_cannot_read(
         app, [*words, "--scenes", f"replicacad={made[1]}", "--looker", "noise.missed=1", "--looker", "patience=0.1"]
     )
     assert result.exit_code == 0, result.output
-    assert f"{made[0].splits['train']} predictions of looker" in result.output
+    assert f"{len(rows[::5])} predictions of looker" in result.output

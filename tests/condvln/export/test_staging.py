@@ -187,13 +187,18 @@ def test_a_half_removed_old_export_leaves_nothing_in_the_new_one(out: Path, monk
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
-@pytest.mark.parametrize("way", ["exchange", "rename"])
 @pytest.mark.parametrize(
-    ("former", "step"),
+    ("way", "former", "step"),
     [
-        ("none", 10),
-        ("other", 10),
-        *(pytest.param(name, 1, marks=pytest.mark.soak) for name in ("none", "other", "same")),
+        ("exchange", "none", 10),  # where there was no export, none is exchanged
+        ("exchange", "other", 10),
+        ("rename", "other", 10),
+        pytest.param("exchange", "none", 1, marks=pytest.mark.soak),
+        *(
+            pytest.param(way, former, 1, marks=pytest.mark.soak)
+            for way in ("exchange", "rename")
+            for former in ("other", "same")
+        ),
     ],
 )
 def test_killed_at_every_so_many_changes_of_the_disk(tmp_path: Path, way: str, former: str, step: int) -> None:

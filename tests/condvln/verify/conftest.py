@@ -19,6 +19,7 @@ from condvln.verify.files import ExportFiles, Row, SceneRun
 from jobs.generate import run_generate
 from schemas.config import Config, InstructionsConfig, SamplingConfig, SourceConfig
 from schemas.program import CATEGORIES
+from tests.once import made_once
 
 SCENES = 4
 PER_CATEGORY = 6
@@ -43,10 +44,7 @@ class MadeExport:
         return [row for run in self.runs for row in run.rows]
 
 
-@pytest.fixture(scope="session")
-def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
-    """Made apartments of several rooms, some episodes of each category; read only."""
-    folder = tmp_path_factory.mktemp("proven")
+def _exported(folder: Path) -> Config:
     make_samples(folder / "scenes", family="replicacad", scenes=SCENES, seed=0)
     config = Config(
         name="made",
@@ -62,6 +60,14 @@ def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
         ),
     )
     run_generate(config, inline=True, console=Console(file=io.StringIO()))
+    return config
+
+
+@pytest.fixture(scope="session")
+def made_export(tmp_path_factory: pytest.TempPathFactory) -> MadeExport:
+    """Made apartments of several rooms, some episodes of each category; read only."""
+    config = made_once(tmp_path_factory, "proven", _exported)
+    folder = config.store.parent
     runs = tuple(ExportFiles(folder / "export").runs())
     source = open_source("replicacad", folder / "scenes")
     scenes = {run.scene_id: with_shipped_navmesh(source.read(run.scene_id), config.agent) for run in runs}

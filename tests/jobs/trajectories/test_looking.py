@@ -98,11 +98,15 @@ def test_frames_show_the_evidence_before_the_decision_and_the_goal_at_the_end(tm
             frame = renderers[scene_id].look(STREAMVLN, place, row["heading"], rgb=False)
             return {*np.unique(frame.instance).tolist()}
 
-        before: set[int] = set().union(*map(seen, poses[: max(episode.looking_decided or ()) + 1]))
-        for k in dict.fromkeys(episode.program.route()[0]):
-            condition = episode.program.conditions[k]
-            if condition.truth:
-                shown.append(bool(before & {number[name] for name in condition.witnesses}))
+        met = [episode.program.conditions[k] for k in dict.fromkeys(episode.program.route()[0])]
+        wanted = [{number[name] for name in condition.witnesses} for condition in met if condition.truth]
+        missing = wanted
+        for row in reversed(poses[: max(episode.looking_decided or ()) + 1]):
+            if not missing:
+                break  # no frame before needs to be rendered
+            there = seen(row)
+            missing = [names for names in missing if not names & there]
+        shown += [names not in missing for names in wanted]
         goal = scenes[episode.scene_id].object_of[episode.program.leaves[episode.gold_leaf].goal.object_id]
         x, _, z = goal.center - [poses[-1]["position"][axis] for axis in "xyz"]
         off = math.remainder(math.atan2(-x, -z) - poses[-1]["heading"], 2 * math.pi)

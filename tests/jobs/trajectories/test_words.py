@@ -6,7 +6,6 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -80,46 +79,33 @@ def test_words_of_30_degrees_on_walks_of_15_are_a_fault(asked: Request, copy: Pa
     assert any("turns of 30°" in what for what in said)
 
 
-def answer(change: Callable[[str], str]) -> Callable[[Path], None]:
-    def changed(folder: Path) -> None:
-        path = folder / "navila" / "annotations.json"
-        found = [json.loads(line) for line in path.read_bytes().splitlines()]
-        for row in found:
-            row["a"] = change(row["a"])
-        path.unlink()
-        path.write_text("".join(json.dumps(row) + "\n" for row in found))
-
-    return changed
-
-
-def sizes(folder: Path) -> None:
-    path = folder / "lerobot" / "meta" / "info.json"
-    found = json.loads(path.read_bytes())
-    found["features"]["action"]["info"]["turn_degrees"] = 30.0
-    path.unlink()
-    path.write_text(json.dumps(found))
-
-
-@pytest.mark.parametrize(
-    ("layout", "change", "what"),
-    [
-        ("navila", answer(lambda text: text.replace(" 15 degrees", " 30 degrees")), "its words lead"),
-        ("navila", answer(lambda text: text.replace("left", "right")), "its words lead"),
-        (
-            "navila",
-            answer(lambda text: text.replace("25 cm", "20 cm")),
-            "an answer is 'The next action is move forward 20 cm.'",
-        ),
-        ("lerobot", sizes, "its words lead"),
-    ],
+ANSWERS = (
+    (" 15 degrees", " 30 degrees", "its words lead"),
+    ("left", "right", "its words lead"),
+    ("25 cm", "20 cm", "an answer is 'The next action is move forward 20 cm.'"),
 )
-def test_words_that_mean_other_sizes_are_found(
-    asked: Request, copy: Path, layout: str, change: Callable[[Path], None], what: str
-) -> None:
-    change(copy)
-    found = [fault["what"] for fault in proven(asked, copy, render_every=0).document["faults"]]
-    assert any(one.startswith(f"{layout}: ") and what in one for one in found)
-    assert all(one.startswith(f"{layout}: ") for one in found)
+"""What answers say, what they say instead, and the fault that must be found; each in every third walk."""
+
+
+def test_words_that_mean_other_sizes_are_found(asked: Request, copy: Path) -> None:
+    third = {row["trajectory"]: number % 3 for number, row in enumerate(rows(copy, "trajectories"))}
+    path, info = copy / "navila" / "annotations.json", copy / "lerobot" / "meta" / "info.json"
+    answers = [json.loads(line) for line in path.read_bytes().splitlines()]
+    for row in answers:
+        said, instead, _ = ANSWERS[third[row["video_id"].rpartition("_")[0]]]
+        row["a"] = row["a"].replace(said, instead)
+    path.unlink()
+    path.write_text("".join(json.dumps(row) + "\n" for row in answers))
+    document = json.loads(info.read_bytes())
+    document["features"]["action"]["info"]["turn_degrees"] = 30.0
+    info.unlink()
+    info.write_text(json.dumps(document))
+    faults = proven(asked, copy, render_every=0).document["faults"]
+    for number, (_, _, what) in enumerate(ANSWERS):
+        whose = [fault["what"] for fault in faults if third.get(fault["trajectory"]) == number]
+        assert any(one.startswith(f"navila: {what}") for one in whose)
+        assert any(one.startswith("lerobot: its words lead") for one in whose)
+    assert all(fault["what"].startswith(("navila: ", "lerobot: ")) for fault in faults)
 
 
 def test_layouts_that_mean_other_sizes_are_refused_before_anything_is_made(asked: Request, tmp_path: Path) -> None:
