@@ -19,7 +19,7 @@ from condvln.export.contents import ORIGIN, document_digest, read_document, read
 from condvln.manifest import manifest_paths
 from factory.snapshot import Snapshot
 from jobs.pipeline import code_versions
-from jobs.settings import config_error, export_folder, put
+from jobs.settings import config_error, put
 from schemas.base import Document
 from schemas.config import Config
 from schemas.errors import SmallerExportError, UsageError
@@ -125,10 +125,10 @@ def _flat(document: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return found
 
 
-def remember_data(config: Config) -> None:
-    """Note beside the export of `config` where its scenes lie on this machine; the export itself may be passed on."""
-    texts = [f"{source.family}={source.root}" for source in config.sources]
-    _data_file(export_folder(config)).write_bytes(orjson.dumps({"data": texts}))
+def remember_data(export: Path, datasets: Mapping[str, Path]) -> None:
+    """Note beside an export where its scenes lie on this machine; the export itself may be passed on."""
+    texts = [f"{family}={root}" for family, root in datasets.items()]
+    _data_file(export).write_bytes(orjson.dumps({"data": texts}))
 
 
 def data_of(export: Path, texts: Sequence[str] | None) -> list[str]:

@@ -25,7 +25,7 @@ from jobs.agents import LOOKER, datasets_of, evidence_seen, looking_agent
 from jobs.benchmark import read_record
 from jobs.evaluate import HandedIn, handed_in
 from jobs.report import Report, Section
-from schemas.benchmark import BenchmarkRecord, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
+from schemas.benchmark import BenchmarkPack, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
 from schemas.errors import FormatError, UsageError
 
 __all__ = ["REFERENCES", "score_benchmark"]
@@ -71,7 +71,7 @@ def score_benchmark(
     record = read_record(export)
     if exported_snapshot(export) != record.snapshot_id:
         raise UsageError(
-            "the export was changed after the benchmark was built", where=str(export), remedy="Build it again."
+            "the export is another than the one that was unpacked here", where=str(export), remedy="Unpack it again."
         )
     found: list[tuple[Evaluation, LeaderboardRow]] = []
     roots = (*roots, *datasets_of(scenes).values())
@@ -139,7 +139,7 @@ def _known(value: float) -> float | None:
     return round(value, 6) if math.isfinite(value) else None
 
 
-def _board(record: BenchmarkRecord, split: str, found: list[tuple[Evaluation, LeaderboardRow]]) -> Leaderboard:
+def _board(record: BenchmarkPack, split: str, found: list[tuple[Evaluation, LeaderboardRow]]) -> Leaderboard:
     def place(item: tuple[Evaluation, LeaderboardRow]) -> tuple[float, float, str]:
         measures = item[1].measures
         return -(measures["success"].mean or 0.0), -(measures["spl_route"].mean or 0.0), item[1].agent
