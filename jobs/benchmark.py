@@ -7,10 +7,8 @@ Scenes are found by the content of their files. No version of the code is asked 
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,7 +36,6 @@ from condvln.manifest import manifest_lines, manifest_paths
 from condvln.navigation.scene_navmesh import with_built_navmesh
 from condvln.sources.copies import FoundScenes, find_scenes
 from condvln.sources.family import FAMILIES
-from condvln.sources.registry import open_source
 from condvln.sources.source import hash_file
 from condvln.verify.files import find_faults
 from factory.chain import Keyer
@@ -47,7 +44,7 @@ from jobs.agents import datasets_of
 from jobs.configuration import load_config
 from jobs.export_origin import Origin, config_of, data_of, remember_data
 from jobs.generate import run_generate
-from jobs.pipeline import build_pipeline, list_units
+from jobs.pipeline import SceneReader, build_pipeline, list_units
 from jobs.report import Report, Section
 from jobs.settings import export_folder
 from jobs.verify import verify_export
@@ -116,21 +113,15 @@ def pack_benchmark(
     except ValidationError as error:
         raise UsageError(f"the export can't be packed: {first_fault(error)}", where=export) from None
     size, digest = write_pack(out, export, record), hash_file(out)[1]
-    lines = [
-        f"{_title(record)}: {sum(record.episodes.values()):,} episodes, {_count(record):,} scenes, "
-        f"{len(record.files)} files",
-        f"{size:,} bytes in {out}, SHA-256 {digest}",
-    ]
+    lines = [f"{_title(record)} in {out}", f"{size:,} bytes, SHA-256 {digest}"]
     return Report({**_about(record), "bytes": size, "sha256": digest}, lines)
 
 
 def _title(record: BenchmarkPack) -> str:
+    episodes, scenes = sum(record.episodes.values()), sum(len(one.scenes) for one in record.sources.values())
     note = " (draft: it may still change)" if record.draft else ""
-    return f"{record.benchmark} {record.version}{note}, snapshot {record.snapshot_id}"
-
-
-def _count(record: BenchmarkPack) -> int:
-    return sum(len(source.scenes) for source in record.sources.values())
+    name = f"{record.benchmark} {record.version}{note}"
+    return f"{name}, snapshot {record.snapshot_id}: {episodes:,} episodes of {scenes:,} scenes"
 
 
 def _about(record: BenchmarkPack) -> dict[str, Any]:
@@ -156,19 +147,17 @@ def _sources(
     for scene in sorted(scenes):
         family, _, scene_id = scene.partition("/")
         unit = units.get(scene)
-        if unit is None or unit.fault is not None:
-            why = "it is not among these copies" if unit is None else str(unit.fault)
+        if unit is None or unit.fault is not None or scene not in origin.scenes:
+            why = str(unit.fault) if unit is not None and unit.fault else "it is not among these copies"
             raise UsageError(f"can't be read: {why}", where=scene, remedy="Name its dataset with --data FAMILY=DIR.")
         if keyer.key(unit, 0, {}, None).inputs.hex() != origin.scenes[scene].data:
-            raise UsageError(
-                "the scene's files are not those that the export was made from", where=scene, remedy="Export again."
-            )
+            what = "the scene's files are not those that the export was made from"
+            raise UsageError(what, where=scene, remedy="Export again.")
         its = inputs.setdefault(family, {})[scene_id] = _inputs(unit, shared.setdefault(family, {}))
         graph = f"{scene_id}_connectivity.json"
         file = next((folder / graph for folder in graphs if (folder / graph).is_file()), None)
         if family == MP3D and file is not None and all(Path(one.path).name != graph for one in its):
-            size, sha256 = hash_file(file)
-            its.append(PackedInput(path=f"{CONNECTIVITY}/{graph}", bytes=size, sha256=sha256))
+            its.append(_whole(f"{CONNECTIVITY}/{graph}", file))
     return {cast(Family, family): _source(found, shared[family]) for family, found in inputs.items()}
 
 
@@ -181,16 +170,17 @@ def _inputs(unit: Unit, shared: dict[str, PackedInput]) -> list[PackedInput]:
             found.append(PackedInput(path=one.path, bytes=one.size, sha256=one.sha256))
             continue
         if not (root / path).is_file():
-            raise UsageError(
-                f"it rests on {path}, outside its dataset's folder, so nobody would find it in a copy",
-                where=unit.unit_id,
-                remedy="Pack scenes without files of zones or houses of their own.",
-            )
+            what = f"it rests on {path}, outside its dataset's folder, so nobody would find it in a copy"
+            raise UsageError(what, where=unit.unit_id, remedy="Pack scenes without zones or houses of their own.")
         found.append(PackedInput(path=path, entry=entry, bytes=one.size, sha256=one.sha256))
         if path not in shared:
-            size, sha256 = hash_file(root / path)
-            shared[path] = PackedInput(path=path, bytes=size, sha256=sha256)
+            shared[path] = _whole(path, root / path)
     return found
+
+
+def _whole(path: str, file: Path) -> PackedInput:
+    size, sha256 = hash_file(file)
+    return PackedInput(path=path, bytes=size, sha256=sha256)
 
 
 def _source(scenes: Mapping[str, Sequence[PackedInput]], shared: Mapping[str, PackedInput]) -> PackedSource:
@@ -228,12 +218,9 @@ def unpack_benchmark(pack: Path, out: Path, scenes: Sequence[str] = ()) -> Repor
             others = packed.extract(new)
             found = _find(record, roots, out, new)
     report = _found_report(record, found)
-    report.lines.insert(0, f"{_title(record)}: {sum(record.episodes.values()):,} episodes in {out}")
+    report.lines.insert(0, f"{_title(record)} in {out}")
     if others:
-        report.lines.append(
-            f"{len(others)} compressed files have other bytes than published, since this machine's zlib is another; "
-            "their content is the same"
-        )
+        report.lines.append(f"{len(others)} files were compressed by another zlib: other bytes, the same content")
     report.document["recompressed"] = others
     return report
 
@@ -253,62 +240,49 @@ def _roots(record: BenchmarkPack, scenes: Sequence[str]) -> dict[Family, list[Pa
 
 def _find(
     record: BenchmarkPack, roots: Mapping[Family, Sequence[Path]], out: Path, export: Path
-) -> dict[Family, FoundScenes]:
+) -> dict[str, FoundScenes]:
     """Find the scenes, note beside `out` where they lie, and add the navmeshes that are no part of the pack.
 
     export : the folder with the files of `out`
     """
     beside = placed(out).with_name(f".{placed(out).name}.scenes")
-    found = {
-        family: find_scenes(family, record.sources[family], where, beside / family) for family, where in roots.items()
-    }
+    found: dict[str, FoundScenes] = {}
+    for family, where in roots.items():
+        found[family] = find_scenes(family, record.sources[family], where, beside / family)
     remember_data(out, {family: one.root for family, one in found.items()})
     for entry in record.files:
-        folder, _, rest = entry.path.partition("/")
-        family, _, name = rest.partition("/")
-        if entry.stored or folder != "navmeshes" or family not in found:
+        _, family, name = f"{entry.path}//".split("/")[:3]
+        here, scene_id = found.get(family), unquote(name.removesuffix(".navmesh"))
+        if entry.stored or here is None or scene_id in here.lacking:
             continue
-        here, scene_id = found[family], unquote(name.removesuffix(".navmesh"))
-        if scene_id not in here.lacking and not _navmesh_built(export, entry.path, entry.sha256, here, scene_id):
-            here.lacking[scene_id] = "its navmesh, built again, is another one"
+        data = _navmesh(config_of(export, {family: here.root}), scene_id)
+        if data is not None and hashlib.sha256(data).hexdigest() == entry.sha256:
+            write_file(export / entry.path, data)
+        else:
+            here.lacking[scene_id] = "differs in the navmesh that is built again from it"
     return found
 
 
-def _navmesh_built(export: Path, path: str, sha256: str, found: FoundScenes, scene_id: str) -> bool:
-    family = path.split("/")[1]
+def _navmesh(config: Config, scene_id: str) -> bytes | None:
+    """Build the navmesh of a scene of the only configured source; None if it can't be."""
     try:
-        source = open_source(family, found.root)
-        scene = source.read(scene_id)
+        source, scene = SceneReader(config).read(config.sources[0].family, scene_id)
         geometry = source.geometry(scene)
     except InputError:
-        return False
-    agent = config_of(export, {family: found.root}).agent
-    data = None if geometry is None else with_built_navmesh(scene, geometry, agent)[1]
-    if data is None or hashlib.sha256(data).hexdigest() != sha256:
-        return False
-    write_file(export / path, data)
-    return True
+        return None
+    return None if geometry is None else with_built_navmesh(scene, geometry, config.agent)[1]
 
 
-def _found_report(record: BenchmarkPack, found: Mapping[Family, FoundScenes]) -> Report:
+def _found_report(record: BenchmarkPack, found: Mapping[str, FoundScenes]) -> Report:
     lines, rows = [], []
     for family, source in record.sources.items():
-        here = found.get(family)
+        here, count = found.get(family), len(source.scenes)
         if here is None:
-            lines.append(f"{family}: {len(source.scenes):,} scenes, none looked for; --data {family}=DIR names a copy")
+            lines.append(f"{family}: {count:,} scenes, none looked for; --data {family}=DIR names a copy")
             continue
         rows += [(f"{family}/{scene}", what) for scene, what in here.lacking.items()]
-        lines += [
-            f"{family}: {len(source.scenes) - len(here.lacking):,} of {len(source.scenes):,} scenes, in {here.root}",
-            *here.notes,
-        ]
-    kinds = Counter(what.partition(",")[0] for _, what in rows)
-    if rows:
-        lines.append(f"scenes that can't be used as they are: {', '.join(f'{n} {kind}' for kind, n in kinds.items())}")
-    document = {
-        **_about(record),
-        "scenes": {family: {**asdict(one), "root": str(one.root)} for family, one in found.items()},
-    }
+        lines += [f"{family}: {count - len(here.lacking):,} of {count:,} scenes, in {here.root}", *here.notes]
+    document = {**_about(record), "lacking": dict(rows)}
     section = Section("Scenes that are missing or differ", ("scene", "what"), [*rows])
     return Report(document, lines, [section], ProofError.exit_code if rows else 0)
 
@@ -321,25 +295,18 @@ def prove_benchmark(target: Path, scenes: Sequence[str] = (), *, workers: int | 
     The exit code is 3 if a scene is missing or differs, or if a proof fails.
     """
     with ExitStack() as stack:
-        folder = target
+        folder, found = target, Report({})
         if not target.is_dir():
             folder = Path(stack.enter_context(TemporaryDirectory()), "export")
             found = unpack_benchmark(target, folder, scenes)
-        elif scenes:
-            record = read_record(target)
+        elif scenes and (record := read_record(target)).sources:
             found = _found_report(record, _find(record, _roots(record, scenes), target, target))
-        else:
-            found = Report({})
-        config = config_of(folder, datasets_of(data_of(folder, None)))
+        config = config_of(folder, datasets_of(data_of(folder, () if found.lines else scenes)))
         proof = verify_export(config, folder, without_store=True, workers=workers)
     if folder != target:
         proof.lines = [line for line in proof.lines if not line.startswith("certificates in ")]
-    return Report(
-        {**found.document, **proof.document},
-        [*found.lines, *proof.lines],
-        [*found.sections, *proof.sections],
-        proof.exit_code or found.exit_code,
-    )
+    lines, sections = found.lines + proof.lines, found.sections + proof.sections
+    return Report({**found.document, **proof.document}, lines, sections, proof.exit_code or found.exit_code)
 
 
 def read_record(export: Path) -> BenchmarkPack:
@@ -355,17 +322,8 @@ def read_record(export: Path) -> BenchmarkPack:
     except FileNotFoundError:
         if not snapshot:
             raise MissingFileError("no export is in this folder", where=export, remedy=_OF_EXPORT) from None
-        return BenchmarkPack(
-            format=1,
-            benchmark="export",
-            version="draft",
-            draft=True,
-            snapshot_id=snapshot,
-            episodes={},
-            sources={},
-            files=[],
-        )
+        named: dict[str, Any] = {"benchmark": "export", "version": "draft", "draft": True, "snapshot_id": snapshot}
+        return BenchmarkPack(format=1, episodes={}, sources={}, files=[], **named)
     except ValidationError as error:
-        raise FormatError(
-            f"not the index of a pack: {first_fault(error)}", where=file, remedy="Unpack the benchmark again."
-        ) from None
+        what = f"not the index of a pack: {first_fault(error)}"
+        raise FormatError(what, where=file, remedy="Unpack the benchmark again.") from None

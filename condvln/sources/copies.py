@@ -173,11 +173,8 @@ def _laid_out(out: Path, placed: Mapping[str, Path], composed: Mapping[str, Mapp
             except OSError:  # another disk
                 shutil.copyfile(real, target)
     except OSError as error:
-        raise StoreError(
-            f"the found scenes can't be laid out: {error.strerror or error}",
-            where=error.filename or out,
-            remedy="Check the folder's rights and room, and unpack again.",
-        ) from error
+        what = f"the found scenes can't be laid out: {error.strerror or error}"
+        raise StoreError(what, where=error.filename or out, remedy="Check the folder's rights and room.") from error
     for path, records in composed.items():
         opening, between, closing = (b"[", b",", b"]") if path.endswith(".json") else (b"", b"\n", b"\n")
         with atomic_stream(out / path, closing=closing) as stream:

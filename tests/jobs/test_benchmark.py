@@ -401,7 +401,7 @@ def test_another_zlib_gives_the_same_content(packed: Packed, tmp_path: Path, mon
     monkeypatch.setattr("condvln.formats.streams.zlib.compressobj", lambda level, *rest: real(9, *rest))
     out = tmp_path / "out"
     report = unpack_benchmark(packed.pack, out, packed.scenes())
-    assert any("this machine's zlib is another" in line for line in report.lines)
+    assert any("compressed by another zlib" in line for line in report.lines)
     monkeypatch.undo()
     name = "vlnce/train/train.json.gz"
     here, there = (gzip.decompress((folder / name).read_bytes()) for folder in (out, packed.export))
