@@ -251,11 +251,11 @@ def _find(
         found[family] = find_scenes(family, record.sources[family], where, beside / family)
     remember_data(out, {family: one.root for family, one in found.items()})
     for entry in record.files:
-        _, family, name = f"{entry.path}//".split("/")[:3]
-        here, scene_id = found.get(family), unquote(name.removesuffix(".navmesh"))
+        _, its, name = f"{entry.path}//".split("/")[:3]
+        here, scene_id = found.get(its), unquote(name.removesuffix(".navmesh"))
         if entry.stored or here is None or scene_id in here.lacking:
             continue
-        data = _navmesh(config_of(export, {family: here.root}), scene_id)
+        data = _navmesh(config_of(export, {its: here.root}), scene_id)
         if data is not None and hashlib.sha256(data).hexdigest() == entry.sha256:
             write_file(export / entry.path, data)
         else:
