@@ -246,6 +246,8 @@ def _find(
     export : the folder with the files of `out`
     """
     beside = placed(out).with_name(f".{placed(out).name}.scenes")
+    if beside.is_symlink():  # what it leads to is not ours to replace
+        raise UsageError("a link is where links to the scenes are put", where=beside, remedy="Remove it.")
     found: dict[str, FoundScenes] = {}
     for family, where in roots.items():
         found[family] = find_scenes(family, record.sources[family], where, beside / family)

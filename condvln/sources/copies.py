@@ -86,23 +86,22 @@ def find_scenes(family: str, wanted: PackedSource, roots: Sequence[Path], out: P
         listing = _list(family, roots, found.notes)
     composed: dict[str, dict[int, Callable[[], bytes]]] = {}
     for path, its in entries.items():
-        file = shared.get(path)
-        if file is not None:
-            placed[path] = file
-            sound |= {(path, entry) for entry in its}
-        elif all(map(_is_line, its.values())):
-            read = listing.records | {sha: same[0].read_bytes for sha, same in known.items()}
-            composed[path] = {int(entry): read[one.sha256] for entry, one in its.items() if one.sha256 in read}
-            sound |= {(path, str(number)) for number in composed[path]}
-        else:
+        file, good = shared.get(path), {*its}
+        if file is None:
             equal = {
                 file: {entry for entry, one in its.items() if here.get(entry) == one.sha256}
                 for file, here in listing.entries.items()
             }
-            best = max(sorted(equal), key=lambda file: len(equal[file]), default=None)
-            if best is not None and equal[best]:
-                placed[path] = best
-                sound |= {(path, entry) for entry in equal[best]}
+            usual = [root / path for root in roots]
+            file = max(sorted(equal), key=lambda file: (len(equal[file]), file in usual), default=None)
+            good = equal[file] if file is not None else set()
+        if len(good) < len(its) and all(map(_is_line, its.values())):
+            read = listing.records | {sha: same[0].read_bytes for sha, same in known.items()}
+            composed[path] = {int(entry): read[one.sha256] for entry, one in its.items() if one.sha256 in read}
+            good = {str(number) for number in composed[path]}
+        elif file is not None and good:
+            placed[path] = file
+        sound |= {(path, entry) for entry in good}
     for scene, places in sorted(wanted.scenes.items()):
         bad = [one for one in map(wanted.inputs.__getitem__, places) if (one.path, one.entry or "") not in sound]
         if bad:
@@ -161,24 +160,27 @@ def _record(source: ProcthorSource, scene_id: str) -> bytes:
 
 def _laid_out(out: Path, placed: Mapping[str, Path], composed: Mapping[str, Mapping[int, Callable[[], bytes]]]) -> Path:
     """Make the folder that holds each file under its path; where it was one line of many, the others are empty."""
+    new = out.with_name(f".{out.name}.new")  # what is read may lie in the former folder
     try:
-        if out.exists():
-            shutil.rmtree(out)
-        out.mkdir(parents=True)
+        shutil.rmtree(new, ignore_errors=True)
+        new.mkdir(parents=True)
         for path, file in placed.items():
-            target, real = out / path, os.path.realpath(file)
+            target, real = new / path, os.path.realpath(file)
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
                 os.link(real, target)
             except OSError:  # another disk
                 shutil.copyfile(real, target)
+        for path, records in composed.items():
+            opening, between, closing = (b"[", b",", b"]") if path.endswith(".json") else (b"", b"\n", b"\n")
+            with atomic_stream(new / path, closing=closing) as stream:
+                stream.write(opening)
+                for number in range(max(records, default=-1) + 1):
+                    stream.write(between * bool(number) + (records[number]() if number in records else b"{}"))
+        if out.exists():
+            shutil.rmtree(out)
+        new.rename(out)
     except OSError as error:
         what = f"the found scenes can't be laid out: {error.strerror or error}"
         raise StoreError(what, where=error.filename or out, remedy="Check the folder's rights and room.") from error
-    for path, records in composed.items():
-        opening, between, closing = (b"[", b",", b"]") if path.endswith(".json") else (b"", b"\n", b"\n")
-        with atomic_stream(out / path, closing=closing) as stream:
-            stream.write(opening)
-            for number in range(max(records, default=-1) + 1):
-                stream.write(between * bool(number) + (records[number]() if number in records else b"{}"))
     return out

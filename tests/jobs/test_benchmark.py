@@ -23,6 +23,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from condvln.evaluation.split import split_tasks
 from condvln.export.pack import RECORD
@@ -35,7 +37,8 @@ from jobs.configuration import load_config
 from jobs.evaluate import walk_split
 from jobs.leaderboard import REFERENCES, score_benchmark
 from jobs.stages import EpisodeStage, SceneStage, TextStage
-from schemas.errors import FormatError, MissingFileError, UsageError
+from schemas.errors import CondVLNError, FormatError, MissingFileError, UsageError
+from tests.broken_bytes import spoiled
 from tests.ending import kill_driver
 
 FAMILIES = ("mp3d", "procthor", "replicacad")
@@ -180,9 +183,20 @@ def test_scenes_are_found_by_content(packed: Packed, unpacked: Path, tmp_path: P
     report = unpack_benchmark(packed.pack, out, renamed(packed.data, tmp_path / "mine"))
     assert report.exit_code == 0, (report.lines, report.sections)
     assert files_of(out) == files_of(packed.export)
-    proof = prove_benchmark(out)
-    assert proof.exit_code == 0, proof.lines
-    assert proof.document["episodes"] == proof.document["proven"] > 0
+    laid_out = json.loads((tmp_path / ".out.data.json").read_text())["data"]
+    assert str(tmp_path / ".out.scenes") in laid_out[0]
+    for scenes in ([], laid_out):
+        proof = prove_benchmark(out, scenes)
+        assert proof.exit_code == 0, proof.lines
+        assert proof.document["episodes"] == proof.document["proven"] > 0
+
+
+def test_what_a_link_leads_to_is_not_replaced(packed: Packed, tmp_path: Path) -> None:
+    data = shutil.copytree(packed.data, tmp_path / "data")
+    (tmp_path / ".out.scenes").symlink_to(data)
+    with pytest.raises(UsageError, match="a link is where"):
+        unpack_benchmark(packed.pack, tmp_path / "out", renamed(packed.data, tmp_path / "mine"))
+    assert sum(1 for _ in data.rglob("*")) == sum(1 for _ in packed.data.rglob("*"))
 
 
 def test_a_scene_with_another_byte_is_named_and_the_others_are_proven(packed: Packed, tmp_path: Path) -> None:
@@ -370,6 +384,30 @@ def test_a_hostile_pack_is_one_clean_error(kind: str, tmp_path: Path) -> None:
     assert "\n" not in str(found.value)
     assert "bad.tar.zst" in str(found.value)
     assert [path.name for path in tmp_path.iterdir()] == ["in"], "nothing is left"
+
+
+@given(data=st.data())
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_spoiled_index_gives_an_export_or_one_clean_error(
+    packed: Packed, tmp_path: Path, data: st.DataObject
+) -> None:
+    content = pa.CompressedInputStream(pa.OSFile(str(packed.pack)), "zstd").read()
+    size = tarfile.TarInfo.frombuf(content[:512], "utf-8", "strict").size
+    index = spoiled(json.loads(content[512 : 512 + size]), data)
+    folder = tmp_path / "spoiled"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    text = json.dumps(index).encode()
+    rest = content[512 + size + -size % 512 :]
+    (folder / "bad").write_bytes(zstd(header(RECORD, len(text)) + text + bytes(-len(text) % 512) + rest))
+    said = ""
+    try:
+        unpack_benchmark(folder / "bad", folder / "out", packed.scenes())
+    except CondVLNError as error:
+        said = str(error)
+    assert "\n" not in said
+    assert (folder / "out").exists() == (not said)
+    assert {path.name for path in tmp_path.iterdir()} == {"spoiled"}
 
 
 def test_a_truncated_pack_is_an_error_wherever_it_ends(packed: Packed, tmp_path: Path) -> None:
