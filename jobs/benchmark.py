@@ -284,9 +284,8 @@ def _found_report(record: BenchmarkPack, found: Mapping[str, FoundScenes]) -> Re
             continue
         rows += [(f"{family}/{scene}", what) for scene, what in here.lacking.items()]
         lines += [f"{family}: {count - len(here.lacking):,} of {count:,} scenes, in {here.root}", *here.notes]
-    document = {**_about(record), "lacking": dict(rows)}
     section = Section("Scenes that are missing or differ", ("scene", "what"), [*rows])
-    return Report(document, lines, [section], ProofError.exit_code if rows else 0)
+    return Report({**_about(record), "lacking": dict(rows)}, lines, [section], ProofError.exit_code if rows else 0)
 
 
 def prove_benchmark(target: Path, scenes: Sequence[str] = (), *, workers: int | None = None) -> Report:

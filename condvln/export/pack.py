@@ -247,8 +247,7 @@ def open_pack(path: Path) -> Iterator[PackReader]:
     try:
         file = open_regular(path)
     except OSError as error:
-        raise MissingFileError(
-            f"the pack can't be opened ({error.strerror})", where=path, remedy="Name a file that benchmark pack wrote"
-        ) from None
+        what = f"the pack can't be opened ({error.strerror})"
+        raise MissingFileError(what, where=path, remedy="Name a file that benchmark pack wrote") from None
     with file, pa.CompressedInputStream(file, "zstd") as stream:
         yield PackReader(path, stream)

@@ -26,8 +26,8 @@ from schemas.errors import CondVLNError, InputError, StoreError
 
 __all__ = ["FoundScenes", "find_scenes"]
 
-MAX_LINES: Final = 1_000_000
-"""Largest number of a house in a file of houses."""
+_DIGITS: Final = 6
+"""Most digits of the number of a house in a file of houses."""
 _SHOWN: Final = 3
 
 
@@ -45,18 +45,6 @@ class FoundScenes:
     notes: list[str] = field(default_factory=list)
 
 
-@dataclass
-class _Listing:
-    """Entries of shared files, as the family's reader lists them.
-
-    entries : hash of each entry, by file
-    records : hands out the bytes of a house, by its hash
-    """
-
-    entries: dict[Path, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
-    records: dict[str, Callable[[], bytes]] = field(default_factory=dict)
-
-
 def find_scenes(family: str, wanted: PackedSource, roots: Sequence[Path], out: Path) -> FoundScenes:
     """Find the inputs of all scenes of a family below the given folders.
 
@@ -66,37 +54,33 @@ def find_scenes(family: str, wanted: PackedSource, roots: Sequence[Path], out: P
     ------
     StoreError : it can't be written
     """
-    lines = [one for one in wanted.inputs if _is_line(one)]
-    whole = [one for one in wanted.inputs if one.entry is None]
-    known = _by_content(roots, [*whole, *wanted.shared, *lines])
+    known = _by_content(roots, [*wanted.inputs, *wanted.shared])
 
     def choose(path: str, sha256: str) -> Path | None:
         same = known.get(sha256, [])
         return next((root / path for root in roots if root / path in same), same[0] if same else None)
 
-    placed = {one.path: file for one in whole if (file := choose(one.path, one.sha256)) is not None}
-    sound = {(path, "") for path in placed}
+    placed: dict[str, Path] = {}
     entries: dict[str, dict[str, PackedInput]] = defaultdict(dict)
     for one in wanted.inputs:
         if one.entry is not None:
             entries[one.path][one.entry] = one
+        elif (whole := choose(one.path, one.sha256)) is not None:
+            placed[one.path] = whole
+    sound = {(path, "") for path in placed}
     shared = {one.path: choose(one.path, one.sha256) for one in wanted.shared}
-    found, listing = FoundScenes(roots[0]), _Listing()
-    if not all(shared.values()):
-        listing = _list(family, roots, found.notes)
+    found = FoundScenes(roots[0])
+    listed, records = _list(family, () if all(shared.values()) else roots, found.notes)
     composed: dict[str, dict[int, Callable[[], bytes]]] = {}
     for path, its in entries.items():
         file, good = shared.get(path), {*its}
         if file is None:
-            equal = {
-                file: {entry for entry, one in its.items() if here.get(entry) == one.sha256}
-                for file, here in listing.entries.items()
-            }
+            equal = {file: {e for e, one in its.items() if here.get(e) == one.sha256} for file, here in listed.items()}
             usual = [root / path for root in roots]
             file = max(sorted(equal), key=lambda file: (len(equal[file]), file in usual), default=None)
             good = equal[file] if file is not None else set()
         if len(good) < len(its) and all(map(_is_line, its.values())):
-            read = listing.records | {sha: same[0].read_bytes for sha, same in known.items()}
+            read = records | {sha: same[0].read_bytes for sha, same in known.items()}
             composed[path] = {int(entry): read[one.sha256] for entry, one in its.items() if one.sha256 in read}
             good = {str(number) for number in composed[path]}
         elif file is not None and good:
@@ -112,14 +96,14 @@ def find_scenes(family: str, wanted: PackedSource, roots: Sequence[Path], out: P
 
 
 def _is_line(one: PackedInput) -> bool:
-    return one.entry is not None and one.entry.isdecimal() and len(one.entry) <= 7 and int(one.entry) < MAX_LINES
+    return one.entry is not None and one.entry.isdecimal() and len(one.entry) <= _DIGITS
 
 
 def _told(bad: Sequence[PackedInput], count: int, roots: Sequence[Path]) -> str:
     names = [one.path if one.entry is None else f"{one.path}#{one.entry}" for one in bad[:_SHOWN]]
     there = any((root / one.path).exists() for one in bad for root in roots)
-    more = f" and {len(bad) - _SHOWN} more" if len(bad) > _SHOWN else ""
-    return f"{'differs' if there else 'missing'}, {len(bad)} of {count} inputs: {', '.join(names)}{more}"
+    kind = "differs" if there else "missing"
+    return f"{kind}, {len(bad)} of {count} files: {', '.join(names)}{' …' * (len(bad) > _SHOWN)}"
 
 
 def _by_content(roots: Iterable[Path], wanted: Iterable[PackedInput]) -> dict[str, list[Path]]:
@@ -137,8 +121,14 @@ def _by_content(roots: Iterable[Path], wanted: Iterable[PackedInput]) -> dict[st
     return found
 
 
-def _list(family: str, roots: Iterable[Path], notes: list[str]) -> _Listing:
-    listing = _Listing()
+def _list(
+    family: str, roots: Iterable[Path], notes: list[str]
+) -> tuple[dict[Path, dict[str, str]], dict[str, Callable[[], bytes]]]:
+    """Return, as the family's reader lists them, the hashes of the entries of shared files; and by the hash of a house
+    what hands out its bytes.
+    """
+    entries: dict[Path, dict[str, str]] = defaultdict(dict)
+    records: dict[str, Callable[[], bytes]] = {}
     for root in roots:
         try:
             source = open_source(family, root, hash_file=lambda _: (0, ""))
@@ -146,12 +136,12 @@ def _list(family: str, roots: Iterable[Path], notes: list[str]) -> _Listing:
                 for one in handle.inputs:
                     path, mark, entry = one.path.partition("#")
                     if mark:
-                        listing.entries[root / path][entry] = one.sha256
+                        entries[root / path][entry] = one.sha256
                     if isinstance(source, ProcthorSource) and entry.isdecimal():
-                        listing.records[one.sha256] = partial(_record, source, handle.scene_id)
+                        records[one.sha256] = partial(_record, source, handle.scene_id)
         except CondVLNError as error:
             notes.append(f"{root} can't be listed: {error.what}")
-    return listing
+    return entries, records
 
 
 def _record(source: ProcthorSource, scene_id: str) -> bytes:

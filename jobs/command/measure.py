@@ -351,8 +351,8 @@ def benchmark_pack(
     """Write an export as one small file, without the scenes. Equal exports give equal bytes."""
     from jobs.benchmark import pack_benchmark
 
-    out_console = console(quiet=as_json)
-    done = pack_benchmark(target, out, overrides or (), name=name, version=version, inline=inline, console=out_console)
+    bar = console(quiet=as_json)
+    done = pack_benchmark(target, out, overrides or (), name=name, version=version, inline=inline, console=bar)
     answer(done, as_json)
 
 
