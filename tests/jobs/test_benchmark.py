@@ -242,6 +242,11 @@ def test_missing_scenes_are_named(packed: Packed, tmp_path: Path) -> None:
     assert [(scene, what.partition(",")[0]) for scene, what in report.sections[0].rows] == [
         (f"replicacad/{gone}", "missing")
     ]
+    board = score_benchmark(tmp_path / "out", "val_unseen", [], scenes=[f"replicacad={data}"])
+    assert {row["agent"] for row in board.document["rows"]} == {*REFERENCES}
+    assert any("no row looker" in line for line in board.lines)
+    seen = board.document["rows"][0]["measures"]["justified"]["n"]
+    assert 0 < seen < board.document["rows"][0]["episodes"], "what was seen is told of the scenes that are there"
     for text, what in (("hssd=x", "has no scenes of hssd"), ("replicacad=/no", "no such folder"), ("x", "not FAMILY")):
         with pytest.raises(UsageError, match=what):
             unpack_benchmark(packed.pack, tmp_path / "other", [text])
