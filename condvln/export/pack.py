@@ -115,7 +115,8 @@ def _contents(files: Sequence[PackedFile]) -> Iterator[PackedFile]:
 
 
 def _name(entry: PackedFile) -> str:
-    return entry.path if entry.content is None else entry.path.removesuffix(".gz")
+    name = entry.path if entry.content is None else entry.path.removesuffix(".gz")
+    return name if len(name.encode()) <= tarfile.LENGTH_NAME else entry.sha256  # what every tar can name
 
 
 def _member(name: str, data: bytes) -> bytes:

@@ -76,8 +76,7 @@ def find_scenes(family: str, wanted: PackedSource, roots: Sequence[Path], out: P
         file, good = shared.get(path), {*its}
         if file is None:
             equal = {file: {e for e, one in its.items() if here.get(e) == one.sha256} for file, here in listed.items()}
-            usual = [root / path for root in roots]
-            file = max(sorted(equal), key=lambda file: (len(equal[file]), file in usual), default=None)
+            file = max(sorted(equal), key=lambda f: (len(equal[f]), f in [r / path for r in roots]), default=None)
             good = equal[file] if file is not None else set()
         if len(good) < len(its) and all(map(_is_line, its.values())):
             read = records | {sha: same[0].read_bytes for sha, same in known.items()}

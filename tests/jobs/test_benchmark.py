@@ -28,7 +28,7 @@ from hypothesis import strategies as st
 
 from condvln.evaluation.split import split_tasks
 from condvln.export.contents import document_digest
-from condvln.export.pack import RECORD
+from condvln.export.pack import RECORD, open_pack, packed_files, write_pack
 from condvln.export.selection import VERSION
 from condvln.export.splits import scene_group
 from condvln.samples import make_samples
@@ -38,6 +38,7 @@ from jobs.configuration import load_config
 from jobs.evaluate import walk_split
 from jobs.leaderboard import REFERENCES, score_benchmark
 from jobs.stages import EpisodeStage, SceneStage, TextStage
+from schemas.benchmark import BenchmarkPack
 from schemas.errors import CondVLNError, FormatError, MissingFileError, UsageError
 from tests.broken_bytes import spoiled
 from tests.ending import kill_driver
@@ -350,6 +351,22 @@ def index_of(path: str = "README.md", data: bytes = b"text", **changes: Any) -> 
     file = {"path": path, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} | changes
     named = {"format": 1, "benchmark": "b", "version": "1", "draft": False, "snapshot_id": "0" * 32, "episodes": {}}
     return json.dumps({**named, "sources": {}, "files": [file]}).encode()
+
+
+def test_names_of_any_length_and_files_that_are_alike_come_back(tmp_path: Path) -> None:
+    long = f"navmeshes/boxes/{'%C3%A9' * 30}.navmesh"
+    files = {"a/b.json.gz": gzip.compress(b"{}" * 99), "a/c.json.gz": gzip.compress(b"{}" * 99), long: b"x" * 600}
+    for name, data in files.items():
+        (tmp_path / "export" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "export" / name).write_bytes(data)
+    (tmp_path / "export" / "export.json").write_text(json.dumps({"files": {name: {} for name in files}}))
+    index = BenchmarkPack.model_validate_json(index_of())
+    index = index.model_copy(update={"files": packed_files(tmp_path / "export", ())})
+    write_pack(tmp_path / "a.tar.zst", tmp_path / "export", index)
+    (tmp_path / "out").mkdir()
+    with open_pack(tmp_path / "a.tar.zst") as pack:
+        assert pack.extract(tmp_path / "out") == []
+    assert files_of(tmp_path / "out") == files_of(tmp_path / "export")
 
 
 def link(name: str, target: str) -> tarfile.TarInfo:
