@@ -1,472 +1,330 @@
-"""``condvln benchmark build`` and ``check``: build a version of a benchmark from your own copies of the datasets, or
-check that they give the published version.
+"""``condvln benchmark pack``, ``unpack`` and ``prove``: a benchmark is data. A pack holds an export without the scenes;
+anyone unpacks the same export from it, and whoever has the scenes proves it again.
 
-A build writes ``benchmark.json`` into its export: the snapshot's id,
-the versions, and for each scene the hash of its source files and of its rows. `check` makes the rows from other copies
-and compares: equal ids, or the scenes that differ and why.
+Scenes are found by the content of their files. No version of the code is asked for: the pack has a format of its own.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from tempfile import TemporaryDirectory
+from typing import Any, cast
+from urllib.parse import unquote
 
-import orjson
 from pydantic import ValidationError
 from rich.console import Console
 
-from condvln.export.contents import read_index
-from condvln.export.splits import SPLITS
-from condvln.formats.streams import indented, write_file
-from condvln.manifest import manifest_path, read_manifest
-from factory.snapshot import Snapshot
+from condvln.export.contents import (
+    CERTIFICATES,
+    SUMMARY,
+    exported_snapshot,
+    file_hashes,
+    read_document,
+    read_index,
+    stale_proofs,
+)
+from condvln.export.pack import RECORD, open_pack, packed_files, write_pack
+from condvln.export.staging import alone_in, placed, staged
+from condvln.export.viewpoints import FAMILY as MP3D
+from condvln.export.viewpoints import FOLDER
+from condvln.formats.streams import write_file
+from condvln.manifest import manifest_lines, manifest_paths
+from condvln.navigation.scene_navmesh import with_built_navmesh
+from condvln.sources.copies import FoundScenes, find_scenes
+from condvln.sources.family import FAMILIES
+from condvln.sources.source import hash_file
+from condvln.verify.files import find_faults
+from factory.chain import Keyer
+from factory.stage import Unit
 from jobs.agents import datasets_of
 from jobs.configuration import load_config
+from jobs.export_origin import Origin, config_of, data_of, remember_data
 from jobs.generate import run_generate
-from jobs.pipeline import code_versions
+from jobs.pipeline import SceneReader, build_pipeline, list_units
 from jobs.report import Report, Section
-from jobs.settings import export_folder, read_yaml
-from jobs.workspace import published
+from jobs.settings import export_folder
+from jobs.verify import verify_export
+from jobs.workspace import CONNECTIVITY, graph_folders
 from schemas.base import first_fault
-from schemas.benchmark import (
-    BenchmarkCell,
-    BenchmarkFile,
-    BenchmarkRecord,
-    BenchmarkScene,
-    BenchmarkSource,
-    BenchmarkStops,
-)
-from schemas.config import Config
-from schemas.errors import ConfigError, FormatError, MissingFileError, ProofError, UsageError
+from schemas.benchmark import BenchmarkPack, PackedInput, PackedSource
+from schemas.config import Config, Family
+from schemas.errors import FormatError, InputError, MissingFileError, ProofError, UsageError
 
-__all__ = [
-    "RECORD",
-    "Benchmark",
-    "build_benchmark",
-    "cell_table",
-    "check_benchmark",
-    "other_versions",
-    "part_lines",
-    "portable",
-    "read_record",
-    "short_lines",
-    "source_table",
-    "stop_table",
-]
+__all__ = ["pack_benchmark", "prove_benchmark", "read_record", "unpack_benchmark"]
 
-RECORD: Final = "benchmark.json"
-"""File name of the record in the export's folder."""
-
-_SHOWN: Final = 20
-_REMEDY: Final = "Compare it with configs/benchmark.yaml."
-_NOT_HERE: Final = "it is not among these copies"
-_NOT_THERE: Final = "it is not in the published benchmark"
+_OF_EXPORT = "Name the folder of an export, or a configuration."
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """A benchmark's file and the configuration of its run."""
-
-    file: BenchmarkFile
-    config: Config
-
-    @classmethod
-    def read(
-        cls, path: Path, overrides: Sequence[str] = (), *, scenes: Sequence[str] = (), check_roots: bool = True
-    ) -> Benchmark:
-        """Read the benchmark file at `path`, and the configuration of the run that this file names.
-
-        scenes : ``FAMILY=FOLDER`` of each dataset that is there; the run's sources of other families are left out. All
-            sources are kept if none is given
-
-        Raises
-        ------
-        ConfigError : one of them is missing or faulty, or the run names no export
-        UsageError : a text of `scenes` is not of that form, or the run has no source of its family
-        """
-        if not path.is_file():
-            raise ConfigError("no such benchmark file", where=path, remedy="Take configs/benchmark.yaml.")
-        try:
-            file = BenchmarkFile.model_validate(read_yaml(path, "configs/benchmark.yaml"))
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise ConfigError(
-                f"not a benchmark file: {first['msg'].removeprefix('Value error, ')}",
-                where=path,
-                place=".".join(map(str, first["loc"])),
-                remedy=_REMEDY,
-            ) from None
-        run = path.parent / file.run
-        overrides = [*_own_sources(run, datasets_of(scenes)), *overrides]
-        config = load_config(run, overrides, check_roots=check_roots)
-        export_folder(config, run)
-        return cls(file, config)
-
-
-def _own_sources(run: Path, roots: Mapping[str, Path]) -> list[str]:
-    """Return the overrides that leave a run's configuration the sources of the given families, in the given folders."""
-    if not roots:
-        return []
-    whole = load_config(run, check_roots=False)
-    families = {source.family for source in whole.sources}
-    strange = sorted(roots.keys() - families)
-    if strange:
-        raise UsageError(
-            f"the benchmark has no scenes of {', '.join(strange)}",
-            place="--data",
-            remedy=f"It has scenes of {', '.join(sorted(families))}.",
-        )
-    kept = [
-        source.model_dump(mode="json", exclude_defaults=True) | {"root": str(roots[source.family].resolve())}
-        for source in whole.sources
-        if source.family in roots
-    ]
-    return [f"sources={orjson.dumps(kept).decode()}"]
-
-
-def build_benchmark(
-    path: Path,
-    overrides: Sequence[str] = (),
+def pack_benchmark(
+    target: Path,
+    out: Path,
+    given: Sequence[str] = (),
     *,
-    scenes: Sequence[str] = (),
+    name: str = "condvln",
+    version: str = "draft",
     inline: bool = False,
     console: Console | None = None,
 ) -> Report:
-    """Generate and export the benchmark, and write its record into the export; `scenes` as in `Benchmark.read`.
+    """Write the pack of an export; of a configuration, generate and export first. An export without valid certificates
+    is proven first.
 
-    The exit code is 3 where a cell is below the floor, or where there are too few instructions. The record is written
-    all the same.
+    given : ``FAMILY=DIR`` of each dataset; for a configuration also keys ``A.B=C``
+    name, version : of the benchmark; it is a draft if its version ends so
 
-    Raises
-    ------
-    CondVLNError : from the run
-    """
-    benchmark = Benchmark.read(path, overrides, scenes=scenes)
-    report = run_generate(benchmark.config, inline=inline, console=console)
-    if report.exit_code not in (0, ProofError.exit_code):
-        return report
-    record = _record(benchmark)
-    export = export_folder(benchmark.config)
-    write_file(export / RECORD, indented(record.model_dump(mode="json"), orjson.OPT_SORT_KEYS))
-    short = list(short_lines(benchmark.file, record))
-    lines = [
-        f"{record.benchmark} {record.version}{' (draft: it may still change)' if record.draft else ''}: snapshot "
-        f"{record.snapshot_id}, {record.instructions:,} instructions, record in {export / RECORD}",
-        *part_lines(benchmark.file, record),
-    ]
-    lines += short
-    tables = [
-        source_table(benchmark.file, record),
-        cell_table(benchmark.file, record),
-        stop_table(benchmark.config, record),
-    ]
-    document = record.model_dump(mode="json", exclude={"scenes"})
-    code = ProofError.exit_code if short else report.exit_code
-    return Report(document, [*lines, *report.lines], [*tables, *report.sections], code)
-
-
-def check_benchmark(
-    path: Path,
-    record_path: Path,
-    overrides: Sequence[str] = (),
-    *,
-    scenes: Sequence[str] = (),
-    inline: bool = False,
-    console: Console | None = None,
-) -> Report:
-    """Process your copies of the datasets that the configuration names, and compare the resulting rows with a published
-    record. Where this installation has other versions of the code, its rows can't be the published ones, and no stage
-    runs.
-
-    The exit code is 0 where the snapshot has the published id, else 3.
+    The exit code is 3, and nothing is written, if a proof fails.
 
     Raises
     ------
-    InputError : the record can't be read
+    UsageError : there is no export, it is damaged, or a scene's files are not those that it was made from
     """
-    theirs = read_record(record_path)
-    benchmark = Benchmark.read(path, overrides, scenes=scenes)
-    if (benchmark.file.benchmark, benchmark.file.version) != (theirs.benchmark, theirs.version):
-        raise UsageError(
-            f"the record is of {theirs.benchmark} {theirs.version}, but the benchmark file is of "
-            f"{benchmark.file.benchmark} {benchmark.file.version}",
-            where=str(record_path),
-            remedy="Take both from one release.",
-        )
-    keys = _key_lines(theirs.configuration, portable(benchmark.config))
-    here = code_versions(benchmark.config)
-    other = other_versions(theirs.stages, here, "published")
-    if other:
-        lines = [
-            "ROWS NOT COMPARED: the code of this release has other versions, so it can't make the published rows: "
-            f"{other}",
-            *keys,
-        ]
-        return _check_report(theirs, lines, [], snapshot_id=None, same=None)
-    run = run_generate(benchmark.config.model_copy(update={"export": None}), inline=inline, console=console)
-    if run.exit_code not in (0, ProofError.exit_code):
-        return run
-    snapshot = published(benchmark.config)
-    differences = list(_differences(theirs, snapshot))
-    same = snapshot.snapshot_id == theirs.snapshot_id
-    lines = [
-        f"the same snapshot as published: {theirs.snapshot_id}"
-        if same
-        else f"ANOTHER SNAPSHOT: {snapshot.snapshot_id} here, {theirs.snapshot_id} published",
-        *keys,
-    ]
-    return _check_report(theirs, lines, differences, snapshot_id=snapshot.snapshot_id, same=same)
-
-
-def _check_report(
-    theirs: BenchmarkRecord,
-    lines: list[str],
-    differences: Sequence[tuple[str, str]],
-    *,
-    snapshot_id: str | None,
-    same: bool | None,
-) -> Report:
-    if differences:
-        first = f", of which {_SHOWN} are shown" if len(differences) > _SHOWN else ""
-        lines.append(f"scenes that differ: {len(differences):,}{first}")
-    report = Report(
-        {
-            "same": same,
-            "snapshot_id": snapshot_id,
-            "published": theirs.snapshot_id,
-            "notes": lines if same is None else lines[1:],
-            "scenes": [{"scene": scene, "difference": what} for scene, what in differences],
-        },
-        lines,
-        [Section("Scenes that differ", ("scene", "difference"), [*differences[:_SHOWN]])],
-    )
-    report.exit_code = 0 if same else ProofError.exit_code
-    return report
-
-
-def read_record(path: Path) -> BenchmarkRecord:
-    """Read the record of a benchmark, from its own file or from the folder of an export.
-
-    Raises
-    ------
-    MissingFileError, FormatError : there is none, or it is not one
-    """
-    file = path / RECORD if path.is_dir() else path
+    if target.is_dir():
+        export = target
+        config = config_of(export, datasets_of(data_of(export, given)))
+    else:
+        config = load_config(target, given)
+        export = export_folder(config, target)
+        made = run_generate(config, inline=inline, console=console)
+        if made.exit_code not in (0, ProofError.exit_code):
+            return made
+    index, origin = read_index(export), Origin.read(export)
+    fault = next(iter(find_faults(export)), None)
+    if index is None or origin is None or fault is not None:
+        raise UsageError(f"no whole export is here: {fault or 'it has no record'}", where=export, remedy=_OF_EXPORT)
+    sources = _sources(config, index, _on_viewpoints(export), origin)
+    if not _is_proven(export):
+        proof = verify_export(config, export, without_store=True, workers=None)
+        if proof.exit_code:
+            return Report(proof.document, ["NOT PACKED: not all of it is proven", *proof.lines], exit_code=3)
     try:
-        return BenchmarkRecord.model_validate_json(file.read_bytes())
-    except FileNotFoundError:
-        raise MissingFileError("there is no such record", where=file, remedy="Run condvln benchmark build.") from None
+        record = BenchmarkPack(
+            format=1,
+            benchmark=name,
+            version=version,
+            draft=version.endswith("draft"),
+            snapshot_id=index["snapshot"],
+            episodes=index["episodes"],
+            sources=sources,
+            files=packed_files(export, [family for family, one in FAMILIES.items() if one.licensed]),
+        )
     except ValidationError as error:
-        raise FormatError(
-            f"not the record of a benchmark: {first_fault(error)}",
-            where=file,
-            remedy="Take the record from the benchmark's release.",
-        ) from None
+        raise UsageError(f"the export can't be packed: {first_fault(error)}", where=export) from None
+    size, digest = write_pack(out, export, record), hash_file(out)[1]
+    lines = [f"{_title(record)} in {out}", f"{size:,} bytes, SHA-256 {digest}"]
+    return Report({**_about(record), "bytes": size, "sha256": digest}, lines)
 
 
-def _stops(export: Path) -> list[BenchmarkStops]:
-    """Count the stops before the goals of all leaves of an export, gold or not, without leads."""
-    found = []
-    for split in SPLITS:
-        counts: defaultdict[int, Counter[int]] = defaultdict(Counter)
-        path = manifest_path(export, split)
-        for row in read_manifest(path) if path.is_file() else ():
-            counts[len(row.leaves)].update(len(leaf.moves) - 1 for leaf in row.program.leaves)
-        found += [BenchmarkStops(split=split, leaves=n, stops=(c[0], c[1], c[2])) for n, c in sorted(counts.items())]
+def _title(record: BenchmarkPack) -> str:
+    episodes, scenes = sum(record.episodes.values()), sum(len(one.scenes) for one in record.sources.values())
+    note = " (draft: it may still change)" if record.draft else ""
+    name = f"{record.benchmark} {record.version}{note}"
+    return f"{name}, snapshot {record.snapshot_id}: {episodes:,} episodes of {scenes:,} scenes"
+
+
+def _about(record: BenchmarkPack) -> dict[str, Any]:
+    return record.model_dump(mode="json", exclude={"sources", "files"})
+
+
+def _on_viewpoints(export: Path) -> set[str]:
+    """Return ``family/scene`` of each scan with paths over viewpoints."""
+    lines = (line.fields() for path in manifest_paths(export / FOLDER) for line in manifest_lines(path))
+    return {f"{row['source']}/{row['scene_id']}" for row in lines}
+
+
+def _sources(
+    config: Config, index: Mapping[str, Any], on_viewpoints: set[str], origin: Origin
+) -> dict[Family, PackedSource]:
+    """Return what each scene with episodes rests on, by family."""
+    scenes = {scene for found in index["scenes"].values() for scene in found} | on_viewpoints
+    graphs = graph_folders(config) if index["r2r_episodes"] or on_viewpoints else ()
+    units = {unit.unit_id: unit for unit in list_units(config, lru_cache(maxsize=None)(hash_file))}
+    keyer = Keyer(build_pipeline(config))
+    inputs: dict[str, dict[str, list[PackedInput]]] = {}
+    shared: dict[str, dict[str, PackedInput]] = {}
+    for scene in sorted(scenes):
+        family, _, scene_id = scene.partition("/")
+        unit = units.get(scene)
+        if unit is None or unit.fault is not None or scene not in origin.scenes:
+            why = str(unit.fault) if unit is not None and unit.fault else "it is not among these copies"
+            raise UsageError(f"can't be read: {why}", where=scene, remedy="Name its dataset with --data FAMILY=DIR.")
+        if keyer.key(unit, 0, {}, None).inputs.hex() != origin.scenes[scene].data:
+            what = "the scene's files are not those that the export was made from"
+            raise UsageError(what, where=scene, remedy="Export again.")
+        its = inputs.setdefault(family, {})[scene_id] = _inputs(unit, shared.setdefault(family, {}))
+        graph = f"{scene_id}_connectivity.json"
+        file = next((folder / graph for folder in graphs if (folder / graph).is_file()), None)
+        if family == MP3D and file is not None and all(Path(one.path).name != graph for one in its):
+            its.append(_whole(f"{CONNECTIVITY}/{graph}", file))
+    return {cast(Family, family): _source(found, shared[family]) for family, found in inputs.items()}
+
+
+def _inputs(unit: Unit, shared: dict[str, PackedInput]) -> list[PackedInput]:
+    """Return the inputs of a scene, and note the shared files of which they are entries."""
+    found, root = [], Path(str(unit.payload["root"]))
+    for one in unit.inputs:
+        path, mark, entry = one.path.partition("#")
+        if not mark or (root / one.path).is_file():
+            found.append(PackedInput(path=one.path, bytes=one.size, sha256=one.sha256))
+            continue
+        if not (root / path).is_file():
+            what = f"it rests on {path}, outside its dataset's folder, so nobody would find it in a copy"
+            raise UsageError(what, where=unit.unit_id, remedy="Pack scenes without zones or houses of their own.")
+        found.append(PackedInput(path=path, entry=entry, bytes=one.size, sha256=one.sha256))
+        if path not in shared:
+            shared[path] = _whole(path, root / path)
     return found
 
 
-def _record(benchmark: Benchmark) -> BenchmarkRecord:
-    snapshot, file = published(benchmark.config), benchmark.file
-    export = export_folder(benchmark.config)
-    index = read_index(export) or {}
-    if index.get("snapshot") != snapshot.snapshot_id:
-        raise UsageError(
-            "the export was not made from the published snapshot",
-            where=str(export),
-            remedy="Run condvln benchmark build again.",
-        )
-    # Every cell that is asked for is counted, so that a source without any episode in a split is not passed over.
-    families = sorted({source.family for source in benchmark.config.sources})
-    categories = dict.fromkeys(cell.category for cell in benchmark.config.instructions.wanted)
-    counts = Counter(dict.fromkeys(product(file.splits, families, categories), 0))
-    for cell in index["cells"]:
-        counts[cell["split"], cell["source"], cell["category"]] += cell["selected"]
-    scenes = dict(_scenes(snapshot))
-    instructions = snapshot.manifest.tables["instructions"]
-    processed = Counter(name.partition("/")[0] for name, scene in scenes.items() if scene.status == "ok")
-    exported: Counter[str] = Counter()
-    for (_, family, _), selected in counts.items():
-        exported[family] += selected
-    return BenchmarkRecord(
-        benchmark=file.benchmark,
-        version=file.version,
-        draft=file.draft,
-        snapshot_id=snapshot.snapshot_id,
-        export_digest=index["digest"],
-        stages=code_versions(benchmark.config),
-        configuration=portable(benchmark.config),
-        instructions=instructions.rows,
-        episodes=index["episodes"],
-        sources={
-            family: BenchmarkSource(
-                scenes=processed[family],
-                instructions=instructions.partitions[family].rows if family in instructions.partitions else 0,
-                episodes=exported[family],
-            )
-            for family in families
-        },
-        stops=_stops(export),
-        cells=[
-            BenchmarkCell(
-                split=s, source=f, category=c, episodes=n, shortfall=max(0, file.floor - n) if s in file.splits else 0
-            )
-            for (s, f, c), n in counts.items()
-        ],
-        scenes=scenes,
+def _whole(path: str, file: Path) -> PackedInput:
+    size, sha256 = hash_file(file)
+    return PackedInput(path=path, bytes=size, sha256=sha256)
+
+
+def _source(scenes: Mapping[str, Sequence[PackedInput]], shared: Mapping[str, PackedInput]) -> PackedSource:
+    known = {(one.path, one.entry or ""): one for its in scenes.values() for one in its}
+    places = {key: place for place, key in enumerate(sorted(known))}
+    return PackedSource(
+        inputs=[known[key] for key in places],
+        shared=[shared[path] for path in sorted(shared)],
+        scenes={scene: [places[one.path, one.entry or ""] for one in its] for scene, its in scenes.items()},
     )
 
 
-def _scenes(snapshot: Snapshot) -> Iterator[tuple[str, BenchmarkScene]]:
-    """Yield (name, scene) of each scene, from the index of units."""
-    table = snapshot.index.table
-    stages = list(snapshot.manifest.stages)
-    hashes = [
-        f"{stage}/{name}.hash"
-        for name, listed in snapshot.manifest.tables.items()
-        for stage in listed.stages
-        if f"{stage}/{name}.hash" in table.column_names
-    ]
-    first = f"{stages[0]}.inputs"
-    for row in table.select(["unit_id", "status", "reason", first, *hashes]).to_pylist():
-        found = {name.removesuffix(".hash"): row[name].hex() for name in sorted(hashes) if row[name] is not None}
-        inputs = None if row[first] is None else row[first].hex()
-        yield (
-            row["unit_id"],
-            BenchmarkScene(status=row["status"], reason=row["reason"] or "", inputs=inputs, tables=found),
-        )
+def _is_proven(export: Path) -> bool:
+    """Return whether the export's certificates hold for its files and disagree in nothing."""
+    summary = read_document(export / CERTIFICATES / SUMMARY) or {}
+    facts = summary.get("facts") or {}
+    agreed = bool(facts) and not summary.get("faults") and not any(one["disagreed"] for one in facts.values())
+    return agreed and not stale_proofs(export, file_hashes(export))
 
 
-def _differences(theirs: BenchmarkRecord, snapshot: Snapshot) -> Iterator[tuple[str, str]]:
-    ours = dict(_scenes(snapshot))
-    for scene in sorted(theirs.scenes.keys() | ours.keys()):
-        here, there = ours.get(scene), theirs.scenes.get(scene)
-        if here is None:
-            yield scene, _NOT_HERE
-        elif there is None:
-            yield scene, _NOT_THERE
-        elif here.status != there.status:
-            why = f" ({here.reason})" if here.reason else ""
-            yield scene, f"it is {here.status} here{why} and was {there.status}"
-        else:
-            names = here.tables.keys() | there.tables.keys()
-            tables = sorted(name for name in names if here.tables.get(name) != there.tables.get(name))
-            files = "" if here.inputs == there.inputs else "its files differ"
-            rows = f"other rows in {', '.join(tables)}" if tables else ""
-            if rows:
-                yield scene, "; ".join(filter(None, (files or "its files are the same", rows)))
+def unpack_benchmark(pack: Path, out: Path, scenes: Sequence[str] = ()) -> Report:
+    """Write the export of a pack, and find its scenes in the folders ``FAMILY=DIR`` of `scenes`, by content.
 
+    The exit code is 3 if a scene of these families is missing or differs; it is named, and the others can be used.
 
-def _key_lines(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
-    other = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
-    return [f"the configuration differs in: {', '.join(other)}"] if other else []
-
-
-def source_table(file: BenchmarkFile, record: BenchmarkRecord) -> Section:
-    """Return the table of the scenes, instructions and episodes of each family, beside the number of scenes that the
-    run takes of whole copies.
+    Raises
+    ------
+    FormatError : the pack is broken or hostile; nothing is written then
+    UsageError : a text of `scenes` is not of that form, or the benchmark has no such family
     """
-    rows = [(name, s.scenes, file.scenes.get(name), s.instructions, s.episodes) for name, s in record.sources.items()]
-    return Section("Sources", ("source", "scenes", "taken of whole copies", "instructions", "episodes"), [*rows])
+    with alone_in(out), open_pack(pack) as packed:
+        record = packed.index
+        roots = _roots(record, scenes)
+        with staged(out) as new:
+            others = packed.extract(new)
+            found = _find(record, roots, out, new)
+    report = _found_report(record, found)
+    report.lines.insert(0, f"{_title(record)} in {out}")
+    if others:
+        report.lines.append(f"{len(others)} files were compressed by another zlib: other bytes, the same content")
+    report.document["recompressed"] = others
+    return report
 
 
-def short_lines(file: BenchmarkFile, record: BenchmarkRecord) -> Iterator[str]:
-    """Yield report lines about what the benchmark lacks: the number of instructions if there are too few, and the cells
-    of each split that are below the floor.
+def _roots(record: BenchmarkPack, scenes: Sequence[str]) -> dict[Family, list[Path]]:
+    roots: dict[Family, list[Path]] = {}
+    for text in scenes:
+        ((family, root),) = datasets_of([text]).items()
+        if family not in record.sources:
+            known = ", ".join(record.sources)
+            raise UsageError(f"the benchmark has no scenes of {family}", place="--data", remedy=f"It has: {known}.")
+        if not root.is_dir():
+            raise UsageError("no such folder", where=root, place="--data", remedy="Name the folder of a dataset.")
+        roots.setdefault(family, []).append(root.resolve())
+    return roots
+
+
+def _find(
+    record: BenchmarkPack, roots: Mapping[Family, Sequence[Path]], out: Path, export: Path
+) -> dict[str, FoundScenes]:
+    """Find the scenes, note beside `out` where they lie, and add the navmeshes that are no part of the pack.
+
+    export : the folder with the files of `out`
     """
-    if record.instructions < file.instructions:
-        yield f"SHORT: {record.instructions:,} instructions of {file.instructions:,}"
-    for split in file.splits:
-        cells = [cell for cell in record.cells if cell.split == split]
-        short = [cell for cell in cells if cell.shortfall]
-        empty = sorted({c.source for c in cells} - {c.source for c in cells if c.episodes})
-        if not short:
+    beside = placed(out).with_name(f".{placed(out).name}.scenes")
+    if beside.is_symlink():  # what it leads to is not ours to replace
+        raise UsageError("a link is where links to the scenes are put", where=beside, remedy="Remove it.")
+    found: dict[str, FoundScenes] = {}
+    for family, where in roots.items():
+        found[family] = find_scenes(family, record.sources[family], where, beside / family)
+    remember_data(out, {family: one.root for family, one in found.items()})
+    for entry in record.files:
+        _, its, name = f"{entry.path}//".split("/")[:3]
+        here, scene_id = found.get(its), unquote(name.removesuffix(".navmesh"))
+        if entry.stored or here is None or scene_id in here.lacking:
             continue
-        named = ", ".join(f"{c.source} {c.category} {c.episodes}" for c in short if c.source not in empty)
-        none = f"; nothing from {', '.join(empty)}" if empty else ""
-        yield (
-            f"SHORT: split {split}: {len(short)} of {len(cells)} cells have fewer than {file.floor} episodes"
-            f"{': ' if named else ''}{named}{none}"
-        )
+        data = _navmesh(config_of(export, {its: here.root}), scene_id)
+        if data is not None and hashlib.sha256(data).hexdigest() == entry.sha256:
+            write_file(export / entry.path, data)
+        else:
+            here.lacking[scene_id] = "differs in the navmesh that is built again from it"
+    return found
 
 
-def part_lines(file: BenchmarkFile, record: BenchmarkRecord) -> list[str]:
-    """Return a report line about the families of which scenes are missing, and one about scenes that are there and
-    were quarantined or skipped; no line where there are none.
+def _navmesh(config: Config, scene_id: str) -> bytes | None:
+    """Build the navmesh of a scene of the only configured source; None if it can't be."""
+    try:
+        source, scene = SceneReader(config).read(config.sources[0].family, scene_id)
+        geometry = source.geometry(scene)
+    except InputError:
+        return None
+    return None if geometry is None else with_built_navmesh(scene, geometry, config.agent)[1]
+
+
+def _found_report(record: BenchmarkPack, found: Mapping[str, FoundScenes]) -> Report:
+    lines, rows = [], []
+    for family, source in record.sources.items():
+        here, count = found.get(family), len(source.scenes)
+        if here is None:
+            lines.append(f"{family}: {count:,} scenes, none looked for; --data {family}=DIR names a copy")
+            continue
+        rows += [(f"{family}/{scene}", what) for scene, what in here.lacking.items()]
+        lines += [f"{family}: {count - len(here.lacking):,} of {count:,} scenes, in {here.root}", *here.notes]
+    section = Section("Scenes that are missing or differ", ("scene", "what"), [*rows])
+    return Report({**_about(record), "lacking": dict(rows)}, lines, [section], ProofError.exit_code if rows else 0)
+
+
+def prove_benchmark(target: Path, scenes: Sequence[str] = (), *, workers: int | None = None) -> Report:
+    """Prove a pack, or the export unpacked from it, with this release's verifier.
+
+    scenes : ``FAMILY=DIR`` of each dataset; for a folder, those noted when it was unpacked if none is given
+
+    The exit code is 3 if a scene is missing or differs, or if a proof fails.
     """
-    here = Counter(scene.partition("/")[0] for scene in record.scenes)
-    parts = [f"{name} {here[name]} of {whole} scenes" for name, whole in file.scenes.items() if here[name] < whole]
-    refused = Counter(
-        (scene.partition("/")[0], found.status) for scene, found in record.scenes.items() if found.status != "ok"
-    )
-    lines = []
-    if parts:
-        lines.append(
-            "a build of a part of the scenes, so its snapshot id differs from that of a whole build: "
-            f"{', '.join(parts)}"
-        )
-    if refused:
-        told = [f"{family} {number} {status}" for (family, status), number in sorted(refused.items())]
-        lines.append(f"scenes without rows: {', '.join(told)}")
-    return lines
+    with ExitStack() as stack:
+        folder, found = target, Report({})
+        if not target.is_dir():
+            folder = Path(stack.enter_context(TemporaryDirectory()), "export")
+            found = unpack_benchmark(target, folder, scenes)
+        elif scenes and (record := read_record(target)).sources:
+            found = _found_report(record, _find(record, _roots(record, scenes), target, target))
+        config = config_of(folder, datasets_of(data_of(folder, () if found.lines else scenes)))
+        proof = verify_export(config, folder, without_store=True, workers=workers)
+    if folder != target:
+        proof.lines = [line for line in proof.lines if not line.startswith("certificates in ")]
+    lines, sections = found.lines + proof.lines, found.sections + proof.sections
+    return Report({**found.document, **proof.document}, lines, sections, proof.exit_code or found.exit_code)
 
 
-def cell_table(file: BenchmarkFile, record: BenchmarkRecord) -> Section:
-    """Return the table of the number of episodes by split and source; a number below the floor is given "of" it."""
-    found = {(cell.split, cell.source, cell.category): cell for cell in record.cells}
-    categories = [*dict.fromkeys(cell.category for cell in record.cells)]
-    rows = []
-    for split, source in dict.fromkeys((cell.split, cell.source) for cell in record.cells):
-        cells = [found.get((split, source, category)) for category in categories]
-        told = [None if c is None else f"{c.episodes} of {file.floor}" if c.shortfall else c.episodes for c in cells]
-        rows.append((split, source, *told))
-    return Section("Episodes", ("split", "source", *categories), [*rows])
+def read_record(export: Path) -> BenchmarkPack:
+    """Return the index of the pack from which an export was unpacked; of another export, a draft's without a name.
 
-
-def stop_table(config: Config, record: BenchmarkRecord) -> Section:
-    """Return the table of the shares of leaves with no, one and two stops before their goal, beside those asked."""
-    sampling, rows = config.sampling, []
-    for one in record.stops:
-        asked = sampling.moves if one.leaves < 4 else (*sampling.moves_four_leaves, 0.0)
-        shares = [f"{100 * count / sum(one.stops):.1f}" for count in one.stops]
-        told = " / ".join(f"{100 * share:g}" for share in asked)
-        rows.append((one.split, one.leaves, sum(one.stops), " / ".join(shares), told))
-    columns = ("split", "leaves of a program", "leaves in all", "none / one / two, %", "asked")
-    return Section("Stops before the goal", columns, [*rows])
-
-
-_OF_THIS_MACHINE: Final = {"store", "export", "ray", "keep", "limits"}
-_PATHS: Final = {"root", "regions", "houses", "connectivity"}
-
-
-def portable(config: Config) -> dict[str, Any]:
-    """Return the part of the configuration that affects rows, without paths of this machine."""
-    document = config.model_dump(mode="json", exclude=_OF_THIS_MACHINE)
-    document["sources"] = [
-        {key: value for key, value in source.items() if key not in _PATHS} for source in document["sources"]
-    ]
-    return document
-
-
-def other_versions(theirs: Mapping[str, int], here: Mapping[str, int], where: str) -> str:
-    """Return the versions `here` that differ from `theirs`, as text; `where` says whose the latter are."""
-    names = [*here, *(name for name in theirs if name not in here)]
-    return ", ".join(
-        f"{name} {here.get(name, 'none')} ({where}: {theirs.get(name, 'none')})"
-        for name in names
-        if here.get(name) != theirs.get(name)
-    )
+    Raises
+    ------
+    MissingFileError, FormatError : the folder holds no export, or the index can't be read
+    """
+    file, snapshot = export / RECORD, exported_snapshot(export)
+    try:
+        return BenchmarkPack.model_validate_json(file.read_bytes())
+    except FileNotFoundError:
+        if not snapshot:
+            raise MissingFileError("no export is in this folder", where=export, remedy=_OF_EXPORT) from None
+        named: dict[str, Any] = {"benchmark": "export", "version": "draft", "draft": True, "snapshot_id": snapshot}
+        return BenchmarkPack(format=1, episodes={}, sources={}, files=[], **named)
+    except ValidationError as error:
+        what = f"not the index of a pack: {first_fault(error)}"
+        raise FormatError(what, where=file, remedy="Unpack the benchmark again.") from None

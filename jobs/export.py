@@ -132,7 +132,7 @@ def write_export(config: Config, *, allow_shrink: bool = False, renewed: bool = 
     behind = priors_behind(snapshot, config.name) if failed else None
     add_bias(report, done.bias, config.splits.bias, behind, config.splits.statements)
     _add_viewpoints(report, config, viewpoints)
-    remember_data(config)
+    remember_data(out, {source.family: source.root for source in config.sources})
     return report
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +21,7 @@ from condvln.export.contents import ORIGIN, document_digest, read_document, read
 from condvln.manifest import manifest_paths
 from factory.snapshot import Snapshot
 from jobs.pipeline import code_versions
-from jobs.settings import config_error, export_folder, put
+from jobs.settings import config_error, put
 from schemas.base import Document
 from schemas.config import Config
 from schemas.errors import SmallerExportError, UsageError
@@ -125,10 +127,10 @@ def _flat(document: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return found
 
 
-def remember_data(config: Config) -> None:
-    """Note beside the export of `config` where its scenes lie on this machine; the export itself may be passed on."""
-    texts = [f"{source.family}={source.root}" for source in config.sources]
-    _data_file(export_folder(config)).write_bytes(orjson.dumps({"data": texts}))
+def remember_data(export: Path, datasets: Mapping[str, Path]) -> None:
+    """Note beside an export where its scenes lie on this machine; the export itself may be passed on."""
+    texts = [f"{family}={root}" for family, root in datasets.items()]
+    _data_file(export).write_bytes(orjson.dumps({"data": texts}))
 
 
 def data_of(export: Path, texts: Sequence[str] | None) -> list[str]:
@@ -143,7 +145,7 @@ def _data_file(export: Path) -> Path:
 
 def config_of(export: Path, datasets: Mapping[str, Path]) -> Config:
     """Return the configuration by which an export was made, with the given folders of families as its sources; the
-    default configuration if the export does not say.
+    default configuration if the export does not say. Keys that this release does not know are left out.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def config_of(export: Path, datasets: Mapping[str, Path]) -> Config:
     """
     if not datasets:
         raise UsageError("no dataset was named, so no scene can be read", where=export, remedy="Add --data FAMILY=DIR.")
-    data: dict[str, Any] = {"name": "export", "store": export / "none", "export": export}
+    data: Any = {"name": "export", "store": export / "none", "export": export}
     origin = Origin.read(export)
     made = {} if origin is None else origin.configuration
     for key, value in made.items():
@@ -163,10 +165,15 @@ def config_of(export: Path, datasets: Mapping[str, Path]) -> Config:
         for family, root in datasets.items()
         for one in made.get(f"sources.{family}", [{}])
     ]
-    try:
-        return Config.model_validate(data)
-    except ValidationError as error:
-        raise config_error(error, export) from None
+    while True:
+        try:
+            return Config.model_validate(data)
+        except ValidationError as error:
+            unknown = [fault["loc"] for fault in error.errors() if fault["type"] == "extra_forbidden"]
+            if not unknown:
+                raise config_error(error, export) from None
+        for *above, last in unknown:  # of another release: no rule reads it
+            reduce(getitem, above, data).pop(last)
 
 
 @dataclass

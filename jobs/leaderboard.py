@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -23,8 +24,8 @@ from jobs.agents import LOOKER, datasets_of, evidence_seen, looking_agent
 from jobs.benchmark import read_record
 from jobs.evaluate import HandedIn, handed_in
 from jobs.report import Report, Section
-from schemas.benchmark import BenchmarkRecord, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
-from schemas.errors import FormatError, UsageError
+from schemas.benchmark import BenchmarkPack, Leaderboard, LeaderboardRow, MeasuredMean, PairedDifference
+from schemas.errors import FormatError, MissingFileError, UsageError
 
 __all__ = ["REFERENCES", "score_benchmark"]
 
@@ -69,7 +70,7 @@ def score_benchmark(
     record = read_record(export)
     if exported_snapshot(export) != record.snapshot_id:
         raise UsageError(
-            "the export was changed after the benchmark was built", where=str(export), remedy="Build it again."
+            "the export is another than the one that was unpacked here", where=str(export), remedy="Unpack it again."
         )
     found: list[tuple[Evaluation, LeaderboardRow]] = []
     roots = (*roots, *datasets_of(scenes).values())
@@ -109,10 +110,12 @@ def _references(export: Path, split: str, roots: Sequence[Path], scenes: Sequenc
     if scenes:
         agents[LOOKER] = looking_agent(scenes, ())
     sees = evidence_seen(export, scenes, roots) if scenes else None
-    return [
-        evaluate(tasks, predict_all(agent, tasks, navmeshes, seed=_SEED), navmeshes, agent=name, sees_of=sees)
-        for name, agent in agents.items()
-    ]
+    found = []
+    for name, agent in agents.items():
+        with suppress(MissingFileError, UsageError) if name == LOOKER else nullcontext():  # it walks where all is there
+            walked = predict_all(agent, tasks, navmeshes, seed=_SEED)
+            found.append(evaluate(tasks, walked, navmeshes, agent=name, sees_of=sees))
+    return found
 
 
 def _row(evaluation: Evaluation, path: Path | None) -> LeaderboardRow:
@@ -137,7 +140,7 @@ def _known(value: float) -> float | None:
     return round(value, 6) if math.isfinite(value) else None
 
 
-def _board(record: BenchmarkRecord, split: str, found: list[tuple[Evaluation, LeaderboardRow]]) -> Leaderboard:
+def _board(record: BenchmarkPack, split: str, found: list[tuple[Evaluation, LeaderboardRow]]) -> Leaderboard:
     def place(item: tuple[Evaluation, LeaderboardRow]) -> tuple[float, float, str]:
         measures = item[1].measures
         return -(measures["success"].mean or 0.0), -(measures["spl_route"].mean or 0.0), item[1].agent
@@ -174,8 +177,8 @@ def _report(board: Leaderboard, out: Path | None, *, asked: bool) -> Report:
     lines = [f"{board.benchmark} {board.version}, split {board.split}{episodes}, snapshot {board.snapshot_id}"]
     if asked and not any(row.agent == LOOKER for row in board.rows):
         lines.append(
-            f"no row {LOOKER}, and no column justified: name the scenes with --data FAMILY=DIR to walk this "
-            "agent too, and to check what all agents saw"
+            f"no row {LOOKER}, and justified not told everywhere: name all scenes of the split with --data "
+            "FAMILY=DIR to walk this agent too, and to check what all agents saw"
         )
     lines += [f"{row.agent}: {note}" for row in board.rows for note in row.notes]
     if board.draft:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # a rebuild that finds nothing to do loads no science
 
 __all__ = [
     "CACHE_VARIABLE",
+    "CONNECTIVITY",
     "Target",
     "alone",
     "alone_in_store",

@@ -1,113 +1,101 @@
-"""Documents of a benchmark: the file that defines a version, the record of a build, and a leaderboard."""
+"""Documents of a benchmark: the index of a pack, and a leaderboard."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+import re
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
 from schemas.base import Document, Finite, VersionedDocument
+from schemas.config import Family
 from schemas.unit import Hash32, Hash64
 
 __all__ = [
-    "BenchmarkCell",
-    "BenchmarkFile",
-    "BenchmarkRecord",
-    "BenchmarkScene",
-    "BenchmarkSource",
-    "BenchmarkStops",
+    "BenchmarkPack",
     "Leaderboard",
     "LeaderboardRow",
     "MeasuredMean",
+    "PackedFile",
+    "PackedInput",
+    "PackedSource",
     "PairedDifference",
 ]
 
 Count = Annotated[int, Field(ge=0)]
 
 
-class BenchmarkFile(Document):
-    """``configs/benchmark.yaml``: the content of one version of a benchmark."""
+def _inside(path: str) -> str:
+    """Return the path if it leads to one file below whatever folder it is put behind."""
+    if not path.isprintable() or re.search(r"\\|^[A-Za-z]:", path) or {"", ".", ".."} & {*path.split("/")}:
+        raise ValueError("not a plain path below a folder")
+    return path
 
+
+RelativePath = Annotated[str, Field(max_length=1000), AfterValidator(_inside)]
+"""A path below a folder, '/'-separated."""
+
+
+class PackedFile(Document):
+    """One file of the export. A ``.gz`` file stands in the pack without its compression, which repeats poorly."""
+
+    path: RelativePath
+    bytes: Count
+    """size of the export's file"""
+    sha256: Hash64
+    """of the export's file"""
+    level: Annotated[int, Field(ge=0, le=9)] | None = None
+    """zlib level with which the stored content is compressed again; null: stored as it is"""
+    content: tuple[Count, Hash64] | None = None
+    """size and SHA-256 of the content without compression, where there is a level"""
+    stored: bool = True
+    """false: a navmesh whose scene's terms forbid to pass it on; it is built again from the user's copy"""
+
+
+class PackedInput(Document):
+    """A file of a dataset, or an entry of one, on which scenes rest."""
+
+    path: RelativePath
+    """path below the dataset's folder where the export was made"""
+    entry: str | None = None
+    """one entry of the file, such as the number of a line; null: the whole file"""
+    bytes: Count
+    sha256: Hash64
+
+
+class PackedSource(Document):
+    """The scenes of one family."""
+
+    inputs: list[PackedInput]
+    """sorted by path and entry"""
+    shared: list[PackedInput]
+    """whole files of which ``inputs`` names entries"""
+    scenes: dict[str, list[Count]]
+    """for each scene the places in ``inputs`` of all that it rests on"""
+
+    @model_validator(mode="after")
+    def _within(self) -> PackedSource:
+        if any(place >= len(self.inputs) for places in self.scenes.values() for place in places):
+            raise ValueError("a scene rests on an input that is not listed")
+        return self
+
+
+class BenchmarkPack(Document):
+    """``benchmark.json``: the index of a pack, and of the export that is unpacked from it."""
+
+    format: Literal[1]
+    """format of the pack, the only version that its readers ask for"""
     benchmark: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     version: str = Field(min_length=1, max_length=100)
     draft: bool
-    """a draft may still change; results on a draft are not comparable with results on other versions"""
-    run: Path
-    """configuration of the run: sources, seeds, counts and splits; relative to this file"""
-    floor: int = Field(ge=1)
-    """minimum number of episodes in each cell split × source × category; smaller cells are reported"""
-    instructions: Count
-    """minimum number of instructions over all sources; a build with fewer reports the shortfall"""
-    splits: tuple[Literal["train", "val_seen", "val_unseen", "test"], ...] = Field(
-        ("train", "val_seen", "val_unseen", "test"), min_length=1
-    )
-    """splits in which every cell must reach the floor"""
-    scenes: dict[str, Count] = Field(default_factory=dict)
-    """number of scenes that the run takes of whole copies of the datasets, by family; a build with fewer says so"""
-
-
-class BenchmarkCell(Document):
-    """The number of episodes of one split, source and category, and the shortfall."""
-
-    split: str
-    source: str
-    category: str
-    episodes: Count
-    shortfall: Count
-    """number of episodes by which the cell is below the floor"""
-
-
-class BenchmarkSource(Document):
-    """The yield of the scenes of one family."""
-
-    scenes: Count
-    """number of scenes that were processed"""
-    instructions: Count
-    episodes: Count
-    """number of episodes in all splits of the export"""
-
-
-class BenchmarkStops(Document):
-    """How many stops the leaves of one split have before their goal, among programs with equally many leaves."""
-
-    split: str
-    leaves: Annotated[int, Field(ge=2, description="number of leaves of the programs")]
-    stops: tuple[Count, Count, Count]
-    """number of leaves with no, one and two stops"""
-
-
-class BenchmarkScene(Document):
-    """The source and the result of one scene."""
-
-    status: Literal["ok", "skipped", "quarantined"]
-    reason: str = ""
-    inputs: Hash32 | None
-    """hash of the scene's source files, with their paths below the dataset"""
-    tables: dict[str, Hash32]
-    """hash of the scene's rows, by <stage>/<table>"""
-
-
-class BenchmarkRecord(VersionedDocument):
-    """``benchmark.json``: the record of one build. Equal sources and versions give equal bytes."""
-
-    benchmark: str
-    version: str
-    draft: bool
+    """a draft may still change: results on it are not published"""
     snapshot_id: Hash32
-    export_digest: Hash64
-    stages: dict[str, int]
-    """versions of the code that decides rows: of each stage, of the priors, and of the choice of episodes (select)"""
-    configuration: dict[str, Any]
-    """configuration keys that affect rows; no paths of this machine"""
-    instructions: Count
     episodes: dict[str, Count]
-    sources: dict[str, BenchmarkSource]
-    """yield of each family"""
-    stops: list[BenchmarkStops]
-    """stops before the goals of all leaves"""
-    cells: list[BenchmarkCell]
-    scenes: dict[str, BenchmarkScene]
+    """number of episodes of each split"""
+    sources: dict[Family, PackedSource]
+    """the scenes, by family"""
+    files: list[PackedFile]
+    """all files of the export, in the order of the pack"""
 
 
 class MeasuredMean(Document):

@@ -14,7 +14,7 @@ import pyarrow as pa
 from pydantic import BaseModel
 
 from schemas.base import SCHEMA_VERSION
-from schemas.benchmark import BenchmarkFile, BenchmarkRecord, Leaderboard
+from schemas.benchmark import BenchmarkPack, Leaderboard
 from schemas.config import Config
 from schemas.evaluation import ManifestEpisode
 from schemas.program import Program
@@ -28,8 +28,7 @@ __all__ = ["DOCUMENTS", "FOLDER", "generated_files", "inner_fields", "write"]
 FOLDER: Final = Path(__file__).parent / "json"
 
 DOCUMENTS: Final[dict[str, type[BaseModel]]] = {
-    "benchmark": BenchmarkFile,
-    "benchmark-record": BenchmarkRecord,
+    "benchmark-pack": BenchmarkPack,
     "config": Config,
     "evaluation-manifest": ManifestEpisode,
     "ground-truth": GroundTruth,

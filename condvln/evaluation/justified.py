@@ -6,6 +6,7 @@ It is asked of any walk, with the scene's surfaces and the rules of the looking 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from typing import Final
 
@@ -21,6 +22,7 @@ from condvln.navigation.pathfinder import Pathfinder
 from condvln.navigation.sight import Recognition
 from condvln.sources.scene_source import Source
 from schemas.config import AgentConfig, EpisodeConfig, PlacesConfig
+from schemas.errors import MissingFileError
 
 __all__ = ["EvidenceSeen"]
 
@@ -50,7 +52,7 @@ class EvidenceSeen:
         self._opened = lru_cache(maxsize=SCENES_KEPT)(self._open)
 
     def __call__(self, task: Task) -> Sees | None:
-        """Return what is recognised on walks of a task; None where no dataset of its family is there.
+        """Return what is recognised on walks of a task; None where its scene is not there.
 
         Raises
         ------
@@ -59,8 +61,10 @@ class EvidenceSeen:
         name = str(task.axes["scene"])
         if name.partition("/")[0] not in self._sources:
             return None
-        looking = self._opened(name, self._pathfinder_of(task))
-        return lambda walked: looking.decided(task.program, walked.positions, walked.headings)
+        with suppress(MissingFileError):
+            looking = self._opened(name, self._pathfinder_of(task))
+            return lambda walked: looking.decided(task.program, walked.positions, walked.headings)
+        return None
 
     def _open(self, name: str, pathfinder: Pathfinder) -> LookingPaths:
         family, _, scene_id = name.partition("/")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Final, cast
 
 import typer
 
@@ -16,7 +16,6 @@ from jobs.command.options import (
     ForwardStep,
     Graphs,
     Inline,
-    Keys,
     LookerKeys,
     Overrides,
     SplitName,
@@ -315,62 +314,79 @@ def bias(
     answer(report_bias(targets), as_json)
 
 
-benchmarks = typer.Typer(
-    help="Build, check and score a version of a benchmark.", no_args_is_help=True, rich_markup_mode=None
-)
-
-BenchmarkPath = Annotated[
-    Path, typer.Argument(metavar="BENCHMARK", help="benchmark file, such as configs/benchmark.yaml")
-]
+benchmarks = typer.Typer(help="Pack, unpack, prove and score a benchmark.", no_args_is_help=True, rich_markup_mode=None)
 
 OwnScenes = Annotated[
     list[str] | None,
     typer.Option(
         "--data",
         metavar="FAMILY=DIR",
-        help="your copy of a dataset; may be repeated. Families that are not named are left out; without this option, "
-        "the run's configuration names the folders",
+        help="your copy of a dataset, in any layout; may be repeated, for one family too",
     ),
 ]
+_DATA: Final = "--data procthor=/data/houses --data replicacad=/data/replica_cad"
 
 
-@benchmarks.command("build", epilog=EXIT_CODES)
-def benchmark_build(
-    benchmark: BenchmarkPath,
-    scenes: OwnScenes = None,
-    overrides: Keys = None,
-    inline: Inline = False,
-    as_json: AsJson = False,
-) -> None:
-    """Generate and export the benchmark from your copies of the datasets, and write its record, benchmark.json."""
-    from jobs.benchmark import build_benchmark
-
-    out = console(quiet=as_json)
-    answer(build_benchmark(benchmark, overrides or (), scenes=scenes or (), inline=inline, console=out), as_json)
+def _end(verb: str, *, codes: bool = True) -> str:
+    return f"{EXIT_CODES}\n\n" * codes + f"Example: condvln benchmark {verb}"
 
 
-@benchmarks.command("check", epilog=EXIT_CODES)
-def benchmark_check(
-    benchmark: BenchmarkPath,
-    record: Annotated[
+@benchmarks.command("pack", epilog=_end("pack out/condvln-1/export --out condvln-1.tar.zst"))
+def benchmark_pack(
+    target: Annotated[
         Path,
-        typer.Argument(metavar="RECORD", help="published benchmark.json, or the folder of the export that holds it"),
+        typer.Argument(
+            metavar="EXPORT|CONFIG", help="folder of an export; or a configuration, to generate and export first"
+        ),
     ],
-    scenes: OwnScenes = None,
-    overrides: Keys = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="the pack to write, such as condvln-1.tar.zst")],
+    name: Annotated[str, typer.Option(help="name of the benchmark")] = "condvln",
+    version: Annotated[
+        str, typer.Option(help="its version; results on one that ends in draft are not to be published")
+    ] = "draft",
+    overrides: Overrides = None,
     inline: Inline = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check whether your copies of the datasets give the published snapshot; name scenes that differ (exit code 3)."""
-    from jobs.benchmark import check_benchmark
+    """Write an export as one small file, without the scenes. Equal exports give equal bytes."""
+    from jobs.benchmark import pack_benchmark
 
-    out = console(quiet=as_json)
-    answer(
-        check_benchmark(benchmark, record, overrides or (), scenes=scenes or (), inline=inline, console=out), as_json
-    )
+    bar = console(quiet=as_json)
+    done = pack_benchmark(target, out, overrides or (), name=name, version=version, inline=inline, console=bar)
+    answer(done, as_json)
 
 
-@benchmarks.command("score")
+@benchmarks.command("unpack", epilog=_end(f"unpack condvln-1.tar.zst --out condvln-1 {_DATA}"))
+def benchmark_unpack(
+    pack: Annotated[Path, typer.Argument(metavar="PACK", help="file that benchmark pack wrote")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="folder of the export to write")],
+    scenes: OwnScenes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the export of a pack, and find its scenes in your copies of the datasets by the content of files. Scenes
+    that are missing or differ are named; the others can be used. Texts and scores of results need no scenes.
+    """
+    from jobs.benchmark import unpack_benchmark
+
+    answer(unpack_benchmark(pack, out, scenes or ()), as_json)
+
+
+@benchmarks.command("prove", epilog=_end(f"prove condvln-1 {_DATA}"))
+def benchmark_prove(
+    target: Annotated[Path, typer.Argument(metavar="PACK|DIR", help="a pack, or the export unpacked from it")],
+    scenes: OwnScenes = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="number of Ray workers; by default as condvln verify has them")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Prove every episode again from its text and your copies of the scenes, with this release's verifier."""
+    from jobs.benchmark import prove_benchmark
+
+    answer(prove_benchmark(target, scenes or (), workers=workers), as_json)
+
+
+@benchmarks.command("score", epilog=_end("score condvln-1 val_unseen mine.json --out board.json", codes=False))
 def benchmark_score(
     export: ExportPath,
     split: SplitName,

@@ -16,7 +16,6 @@ __all__ = [
     "ForwardStep",
     "Graphs",
     "Inline",
-    "Keys",
     "LookerKeys",
     "Overrides",
     "RefName",
@@ -36,7 +35,6 @@ Overrides = Annotated[
         help="override one key, or name the folder where a family's scenes lie; may be repeated",
     ),
 ]
-Keys = Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="override one key; may be repeated")]
 TargetName = Annotated[
     str, typer.Argument(metavar="CONFIG|STORE", help="YAML configuration, or a store: its folder or s3://…")
 ]
