@@ -42,6 +42,7 @@ from schemas.benchmark import BenchmarkPack
 from schemas.errors import CondVLNError, FormatError, MissingFileError, UsageError
 from tests.broken_bytes import spoiled
 from tests.ending import kill_driver
+from tests.once import made_once
 
 FAMILIES = ("mp3d", "procthor", "replicacad")
 
