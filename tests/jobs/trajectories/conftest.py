@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from condvln.trajectories.cameras import PRESETS
-from jobs.export import run_export
+from jobs.export import export_snapshot_of
 from jobs.report import Report
 from jobs.trajectories import Request, make_trajectories
 from schemas.config import Config
 from tests.jobs.trajectories.made import FIFTEEN, THIRTY, TINY, WALKS, to
-from tests.once import made_once
 
 
 @pytest.fixture(scope="package", autouse=True)
@@ -29,12 +28,8 @@ def tiny() -> Iterator[None]:
 def asked(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFactory) -> Request:
     """The request of the tests, over an export of the made dataset; the folder is to be replaced."""
     config, _ = made_run
-
-    def make(folder: Path) -> Path:
-        run_export(config.model_copy(update={"export": folder / "export"}))
-        return folder / "export"
-
-    export = made_once(tmp_path_factory, "export of walks", make)
+    export = tmp_path_factory.mktemp("export")
+    export_snapshot_of(config.model_copy(update={"export": export}))
     counts: dict[str, int] = json.loads((export / "export.json").read_text())["episodes"]
     (source,) = config.sources
     return Request(
@@ -52,20 +47,14 @@ def asked(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFact
 @pytest.fixture(scope="package")
 def made(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trajectories of the whole split, in every layout whose turns are of 15°; read only."""
-
-    def make(folder: Path) -> Path:
-        assert make_trajectories(to(asked, folder / "out")).exit_code == 0
-        return folder / "out"
-
-    return made_once(tmp_path_factory, "walks", make)
+    out = tmp_path_factory.mktemp("trajectories") / "out"
+    assert make_trajectories(to(asked, out)).exit_code == 0
+    return out
 
 
 @pytest.fixture(scope="package")
 def wide(asked: Request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trajectories of the whole split, in every layout whose turns are of 30°; read only."""
-
-    def make(folder: Path) -> Path:
-        assert make_trajectories(to(asked, folder / "wide", layouts=THIRTY)).exit_code == 0
-        return folder / "wide"
-
-    return made_once(tmp_path_factory, "wide walks", make)
+    out = tmp_path_factory.mktemp("trajectories") / "wide"
+    assert make_trajectories(to(asked, out, layouts=THIRTY)).exit_code == 0
+    return out
