@@ -16,6 +16,7 @@ from condvln.explorer.rejected import clash_examples, program_example, rule_text
 from condvln.manifest import manifest_lines, manifest_paths
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.explore_scenes import ExploredScene
+from jobs.funnel import SURPLUS, Flow
 from jobs.workspace import open_store
 from schemas.config import Config
 from schemas.errors import UsageError
@@ -32,6 +33,8 @@ __all__ = [
 
 Document = dict[str, Any]
 SUMS: Final = ("wanted", "candidates", "rejected", "placed")
+OTHER_LEAVES: Final = "these leaves already have their share; candidates of other leaves are lacking"
+"""Why candidates for which there was no room did not fill a gap."""
 EXAMPLES: Final = 3
 """Number of examples that are kept of each reason of rejection."""
 
@@ -95,23 +98,27 @@ class Counts:
 
 def scene_yield(scene: ExploredScene) -> Document | None:
     """Return what became of a scene's candidates: rows of the tables ``funnel`` and ``rejections``, the latter with the
-    rule in words; ``wanted`` and ``placed``, summed; and ``reason``, the most frequent one in the cells that have fewer
-    than wanted, of placing before drawing. None where nothing is known.
+    rule in words, what explains a gap best first; ``wanted`` and ``placed``, summed; and ``reason``, the most frequent
+    cause in the cells that have fewer than wanted, as in ``jobs.funnel``. None where nothing is known.
     """
     if not scene.tables:
         return None
     funnel = [[row[name] for name in ("cell", *SUMS)] for row in scene.tables["funnel"]]
     rejections = [[row[name] for name in ("cell", "stage", "reason", "count")] for row in scene.tables["rejections"]]
-    short = {row[0] for row in funnel if row[4] < row[1]}
-    reasons: Counter[tuple[bool, str]] = Counter()
-    for cell, stage, reason, count in rejections:
-        reasons[stage == PLACING, reason] += count if cell in short else 0
+    flow = Flow()
+    for cell, wanted, candidates, _, placed in funnel:
+        rejected, undrawn = (
+            {reason: n for at, stage, reason, n in rejections if at == cell and (stage == PLACING) == placing}
+            for placing in (True, False)
+        )
+        flow.add(Flow.of_cell(wanted, candidates, placed, rejected, undrawn))
+    rejections.sort(key=lambda row: (row[2] in SURPLUS, row[1] != PLACING, -row[3]))
     return {
-        "wanted": sum(row[1] for row in funnel),
-        "placed": sum(row[4] for row in funnel),
-        "reason": max(reasons, key=lambda key: (key[0], reasons[key]))[1] if short and reasons else "",
+        "wanted": flow.wanted,
+        "placed": flow.placed,
+        "reason": flow.reason(),
         "funnel": funnel,
-        "rejections": [[*row, rule_text(row[1], row[2])] for row in rejections],
+        "rejections": [[*row, OTHER_LEAVES if row[2] in SURPLUS else rule_text(row[1], row[2])] for row in rejections],
     }
 
 

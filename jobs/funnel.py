@@ -12,7 +12,7 @@ that has all that was wanted has no causes, whatever was rejected on the way.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
@@ -21,7 +21,7 @@ import pyarrow as pa
 from factory.snapshot import Snapshot
 from jobs.report import Report, Section
 
-__all__ = ["Flow", "Funnel", "add_funnel", "funnel_of", "listed"]
+__all__ = ["SURPLUS", "Flow", "Funnel", "add_funnel", "funnel_of", "listed"]
 
 SHOWN_REASONS: Final = 3
 """Number of reasons named beside a row on a terminal; ``--json`` has all of them."""
@@ -29,6 +29,14 @@ SHOWN_SCENES: Final = 20
 """Number of scenes without episodes that are listed on a terminal."""
 SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full", "truth_full"})
 """Reasons of candidates for which there was no room, in the cell or among those of their gold leaf."""
+NO_QUESTION: Final = {
+    True: "no statement about it is both possible as true and as false",
+    False: "its annotation was checked by nobody ('absence: never' at the source asks what claims no absence)",
+}
+"""Why there is no question about a room, by whether its annotation lets it be asked."""
+ADVICE: Final = "Put about six objects in a room, of different labels, each seen from where an agent can stand."
+SHOWN_ROOMS: Final = 6
+"""Number of rooms that are named of a scene without a question."""
 TOO_FEW: Final = "too_few_candidates"
 """Cause of the episodes that would be missing even if every candidate had been placed."""
 PLACING: Final = "episodes"
@@ -85,6 +93,13 @@ class Flow:
             "causes": dict(_ranked(self.causes)),
             "undrawn": dict(_ranked(self.undrawn)),
         }
+
+    def reason(self) -> str:
+        """Return the most frequent cause of a shortage; where candidates are lacking, the most frequent one of that.
+        Empty where nothing is short.
+        """
+        cause = next((reason for reason, _ in _ranked(self.causes)), "")
+        return next((reason for reason, _ in _ranked(self.undrawn_of_short) if cause == TOO_FEW), cause)
 
     def why(self) -> str:
         """Return the most frequent causes of a shortage in one line. After the cause TOO_FEW, the line names the most
@@ -183,12 +198,43 @@ def funnel_of(snapshot: Snapshot) -> Funnel:
         scenes[f"{source}/{scene}"].add(flow)
         cells[source, cell].add(flow)
     barren = {name: told.get(name) or _explained(flow) for name, flow in scenes.items() if not flow.placed}
+    unasked = {name for name, why in barren.items() if why.startswith("nothing_to_ask:")}
+    for name, rooms in _rooms(snapshot, unasked).items():
+        barren[name] = f"nothing_to_ask: {rooms}"
     return Funnel(dict(sorted(scenes.items())), dict(sorted(cells.items())), dict(sorted(barren.items())))
 
 
 def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
     for batch in table.to_batches():
         yield from batch.to_pylist()
+
+
+def _rooms(snapshot: Snapshot, wanted: Collection[str]) -> dict[str, str]:
+    """Return what the rooms of the `wanted` scenes lack for a question, room by room, and what to do."""
+    if not wanted:
+        return {}
+
+    def rows(table: str, *columns: str) -> Iterable[tuple[str, dict[str, Any]]]:
+        for row in _rows(snapshot.table(table, ["scene_id", *columns])):
+            if (name := f"{row['source']}/{row['scene_id']}") in wanted:
+                yield name, row
+
+    seeable = {(name, row["object_id"]) for name, row in rows("visibility", "object_id", "seeable") if row["seeable"]}
+    seen = Counter(
+        (name, row["room_id"])
+        for name, row in rows("objects", "object_id", "room_id")
+        if (name, row["object_id"]) in seeable
+    )
+    told: defaultdict[str, list[str]] = defaultdict(list)
+    for name, row in rows("rooms", "room_id", "label", "asked", "n_objects"):
+        room = row["room_id"]
+        called = room if room.startswith(row["label"]) else f"{row['label']} ({room})"
+        told[name].append(
+            f"{called}: {row['n_objects']} objects, {seen[name, room]} of them seen; {NO_QUESTION[row['asked']]}"
+        )
+    for rooms in told.values():
+        rooms[SHOWN_ROOMS:] = [f"and {len(rooms) - SHOWN_ROOMS} more rooms"] if len(rooms) > SHOWN_ROOMS else []
+    return {name: ". ".join([*rooms, ADVICE]) for name, rooms in told.items()}
 
 
 def _explained(flow: Flow) -> str:

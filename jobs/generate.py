@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ from factory.stage import Unit
 from factory.store import Store
 from jobs.executor import every_node_sees, open_executor
 from jobs.export import alone_in_export, write_export
-from jobs.funnel import add_funnel
+from jobs.funnel import add_funnel, listed
 from jobs.pipeline import build_pipeline, listed_units
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section, by_cause
@@ -64,7 +65,21 @@ def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
         add_funnel(report, published(config), short=True)
     if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
         add_export(report, config, renewed=renewed)
+    if done.snapshot_id is not None:
+        _add_notes(report, config)
     return report
+
+
+def _add_notes(report: Report, config: Config) -> None:
+    """Add what a reader should know at the end: that nothing was made, and predicates that no condition asks."""
+    snapshot = published(config)
+    if not snapshot.manifest.tables["instructions"].rows:
+        reasons = Counter(str(scene["why"]).split(":")[0] for scene in report.document["funnel"]["scenes"])
+        report.notes.append(
+            f"WARNING: nothing was made: none of {reasons.total():,} scenes has an instruction ({listed(reasons)}); "
+            "the table 'Scenes without episodes' says why, and what to do"
+        )
+        return
 
 
 def bring_up_to_date(

@@ -56,12 +56,13 @@ class Section:
 
 @dataclass
 class Report:
-    """Lines and tables for people, `document` for scripts, and the exit code."""
+    """Lines, tables and `notes` after them for people, `document` for scripts, and the exit code."""
 
     document: dict[str, Any]
     lines: list[str] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     exit_code: int = 0
+    notes: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
         """Return the document, with the exit code."""
@@ -70,8 +71,11 @@ class Report:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         # A terminal wraps long lines where it is narrow; in a file a line is one message.
         whole = not console.is_terminal
-        yield from (Text(line, no_wrap=whole, overflow="ignore" if whole else None) for line in self.lines)
-        yield from (section.table() for section in self.sections if section.rows)
+        lines, notes = (
+            [Text(line, no_wrap=whole, overflow="ignore" if whole else None) for line in own]
+            for own in (self.lines, self.notes)
+        )
+        yield from (*lines, *(section.table() for section in self.sections if section.rows), *notes)
 
 
 def by_cause(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
