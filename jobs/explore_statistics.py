@@ -33,7 +33,7 @@ __all__ = [
 
 Document = dict[str, Any]
 SUMS: Final = ("wanted", "candidates", "rejected", "placed")
-OTHER_LEAVES: Final = "these leaves already have their share; candidates of other leaves are lacking"
+FULL: Final = "these leaves already have their share; candidates of other leaves are lacking"
 """Why candidates for which there was no room did not fill a gap."""
 EXAMPLES: Final = 3
 """Number of examples that are kept of each reason of rejection."""
@@ -41,10 +41,11 @@ EXAMPLES: Final = 3
 
 @dataclass
 class Counts:
-    """Sums over the scenes of a page."""
+    """Sums over the scenes of a page. `asked` has, by predicate, the numbers of false and of true conditions."""
 
     scenes: int = 0
     episodes: int = 0
+    asked: dict[str, list[int]] = field(default_factory=dict)
     relations: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
@@ -62,6 +63,9 @@ class Counts:
                 sums = self.relations.setdefault((source, row["predicate"]), [0, 0])
                 sums[0] += 1
                 sums[1] += bool(row["true_in_text"])
+        for condition in (one for row in scene.rows for one in row["program"]["conditions"]):
+            predicate = (condition["qualifier"] or {"predicate": "presence"})["predicate"]
+            self.asked.setdefault(predicate, [0, 0])[condition["truth"]] += 1
         tables = scene.tables or {}
         for row in tables.get("funnel", ()):
             sums = self.funnel.setdefault((source, row["cell"]), [0, 0, 0, 0])
@@ -118,7 +122,7 @@ def scene_yield(scene: ExploredScene) -> Document | None:
         "placed": flow.placed,
         "reason": flow.reason(),
         "funnel": funnel,
-        "rejections": [[*row, OTHER_LEAVES if row[2] in SURPLUS else rule_text(row[1], row[2])] for row in rejections],
+        "rejections": [[*row, FULL if row[2] in SURPLUS else rule_text(row[1], row[2])] for row in rejections],
     }
 
 
@@ -131,6 +135,7 @@ def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former
     former : episodes of a former export or snapshot, with which these are compared
     """
     return {
+        "asked": counts.asked,
         "relations": [[*key, *sums] for key, sums in sorted(counts.relations.items())],
         "funnel": [[*key, *sums] for key, sums in sorted(counts.funnel.items())],
         "rejections": [

@@ -29,14 +29,14 @@ SHOWN_SCENES: Final = 20
 """Number of scenes without episodes that are listed on a terminal."""
 SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full", "truth_full"})
 """Reasons of candidates for which there was no room, in the cell or among those of their gold leaf."""
-NO_QUESTION: Final = {
-    True: "no statement about it is both possible as true and as false",
-    False: "its annotation was checked by nobody ('absence: never' at the source asks what claims no absence)",
-}
-"""Why there is no question about a room, by whether its annotation lets it be asked."""
+NO_QUESTION: Final = "no statement about it is both possible as true and as false"
+UNCHECKED: Final = "its annotation was checked by nobody ('absence: never' at the source asks what claims no absence)"
+"""Why there is no question about a room, where its annotation lets it be asked and where not."""
 ADVICE: Final = "Put about six objects in a room, of different labels, each seen from where an agent can stand."
 SHOWN_ROOMS: Final = 6
 """Number of rooms that are named of a scene without a question."""
+UNASKED: Final = "nothing_to_ask"
+"""Reason of draws in a scene about which there is no question."""
 TOO_FEW: Final = "too_few_candidates"
 """Cause of the episodes that would be missing even if every candidate had been placed."""
 PLACING: Final = "episodes"
@@ -108,10 +108,8 @@ class Flow:
         return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
 
     def _cause(self, reason: str, count: int) -> str:
-        told = f"{reason} {count:,}"
-        if reason != TOO_FEW or not self.undrawn_of_short:
-            return told
-        return f"{told} ({listed(self.undrawn_of_short)})"
+        why = f" ({listed(self.undrawn_of_short)})" if reason == TOO_FEW and self.undrawn_of_short else ""
+        return f"{reason} {count:,}{why}"
 
 
 @dataclass
@@ -138,16 +136,7 @@ class Funnel:
     def sections(self) -> list[Section]:
         """Return sections for a terminal: the cells, and the scenes without episodes."""
         rows = [
-            (
-                source,
-                cell,
-                f.wanted,
-                f.candidates,
-                sum(f.rejected.values()),
-                f.placed,
-                f.short,
-                f.why(),
-            )
+            (source, cell, f.wanted, f.candidates, f.rejected.total(), f.placed, f.short, f.why())
             for (source, cell), f in self.cells.items()
         ]
         columns = ("source", "cell", "wanted", "candidates", "rejected", "placed", "short", "mostly by")
@@ -198,9 +187,7 @@ def funnel_of(snapshot: Snapshot) -> Funnel:
         scenes[f"{source}/{scene}"].add(flow)
         cells[source, cell].add(flow)
     barren = {name: told.get(name) or _explained(flow) for name, flow in scenes.items() if not flow.placed}
-    unasked = {name for name, why in barren.items() if why.startswith("nothing_to_ask:")}
-    for name, rooms in _rooms(snapshot, unasked).items():
-        barren[name] = f"nothing_to_ask: {rooms}"
+    barren |= _unasked(snapshot, {name for name, why in barren.items() if why.startswith(f"{UNASKED}:")})
     return Funnel(dict(sorted(scenes.items())), dict(sorted(cells.items())), dict(sorted(barren.items())))
 
 
@@ -209,8 +196,8 @@ def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
         yield from batch.to_pylist()
 
 
-def _rooms(snapshot: Snapshot, wanted: Collection[str]) -> dict[str, str]:
-    """Return what the rooms of the `wanted` scenes lack for a question, room by room, and what to do."""
+def _unasked(snapshot: Snapshot, wanted: Collection[str]) -> dict[str, str]:
+    """Return why there is no question about the `wanted` scenes, room by room, and what to do."""
     if not wanted:
         return {}
 
@@ -220,21 +207,16 @@ def _rooms(snapshot: Snapshot, wanted: Collection[str]) -> dict[str, str]:
                 yield name, row
 
     seeable = {(name, row["object_id"]) for name, row in rows("visibility", "object_id", "seeable") if row["seeable"]}
-    seen = Counter(
-        (name, row["room_id"])
-        for name, row in rows("objects", "object_id", "room_id")
-        if (name, row["object_id"]) in seeable
-    )
+    things = rows("objects", "object_id", "room_id")
+    seen = Counter((name, row["room_id"]) for name, row in things if (name, row["object_id"]) in seeable)
     told: defaultdict[str, list[str]] = defaultdict(list)
     for name, row in rows("rooms", "room_id", "label", "asked", "n_objects"):
-        room = row["room_id"]
+        room, why = row["room_id"], NO_QUESTION if row["asked"] else UNCHECKED
         called = room if room.startswith(row["label"]) else f"{row['label']} ({room})"
-        told[name].append(
-            f"{called}: {row['n_objects']} objects, {seen[name, room]} of them seen; {NO_QUESTION[row['asked']]}"
-        )
+        told[name].append(f"{called}: {row['n_objects']} objects, {seen[name, room]} of them seen; {why}")
     for rooms in told.values():
         rooms[SHOWN_ROOMS:] = [f"and {len(rooms) - SHOWN_ROOMS} more rooms"] if len(rooms) > SHOWN_ROOMS else []
-    return {name: ". ".join([*rooms, ADVICE]) for name, rooms in told.items()}
+    return {name: f"{UNASKED}: {'. '.join([*rooms, ADVICE])}" for name, rooms in told.items()}
 
 
 def _explained(flow: Flow) -> str:
@@ -242,18 +224,17 @@ def _explained(flow: Flow) -> str:
     why draws failed.
     """
     # The science is needed for its words alone, and only here.
-    from condvln.episodes.candidates import REASONS as PLACING_REASONS
-    from condvln.instructions.degeneracy import REASONS as DRAWING_REASONS
+    from condvln.explorer.rejected import REASONS
 
     if not flow.wanted:
         return "no episodes were wanted of it"
-    counts, meanings = (flow.rejected, PLACING_REASONS) if flow.candidates else (flow.undrawn, DRAWING_REASONS)
+    counts, stage = (flow.rejected, PLACING) if flow.candidates else (flow.undrawn, "programs")
     counts = Counter({reason: count for reason, count in counts.items() if reason not in SURPLUS})
     if not counts:
         return "no candidate was drawn"
     reason, count = _ranked(counts)[0]
     what = "candidates" if flow.candidates else "draws"
-    return f"{reason}: {meanings[reason]} ({count:,} of {sum(counts.values()):,} {what})"
+    return f"{reason}: {REASONS[stage][reason]} ({count:,} of {sum(counts.values()):,} {what})"
 
 
 def listed(counts: Counter[str]) -> str:

@@ -6,8 +6,10 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Any, Final
 
+import pyarrow.compute as pc
 from rich.console import Console
 
+from condvln.instructions.predicates import GROUP_OF, PREDICATES, sayable
 from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.stage import Unit
@@ -21,6 +23,7 @@ from jobs.report import Report, Section, by_cause
 from jobs.workspace import alone_in_store, git_revision, local_state, open_store, published
 from schemas.config import Config
 from schemas.errors import CorruptShardError, SmallerExportError
+from schemas.program import asked_in
 
 __all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
@@ -80,6 +83,17 @@ def _add_notes(report: Report, config: Config) -> None:
             "the table 'Scenes without episodes' says why, and what to do"
         )
         return
+    conditions = pc.list_flatten(snapshot.table("instructions", ["conditions"])["conditions"])
+    said = {*pc.struct_field(conditions, ["qualifier", "predicate"]).unique().to_pylist()}
+    families = {asked for source in config.sources for asked in asked_in(source.family)}
+    weights, usable = config.sampling.predicates, families & sayable(config.instructions.directions) - said
+    unasked = [name for name in PREDICATES if name in usable and getattr(weights, GROUP_OF[name])]
+    report.document["unasked_predicates"] = unasked
+    if unasked:
+        report.notes.append(
+            f"asked predicates without a condition: {', '.join(unasked)} (their truth hardly varies in these scenes, "
+            "or their group has little weight)"
+        )
 
 
 def bring_up_to_date(

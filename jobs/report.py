@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import typer
@@ -71,11 +72,10 @@ class Report:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         # A terminal wraps long lines where it is narrow; in a file a line is one message.
         whole = not console.is_terminal
-        lines, notes = (
-            [Text(line, no_wrap=whole, overflow="ignore" if whole else None) for line in own]
-            for own in (self.lines, self.notes)
-        )
-        yield from (*lines, *(section.table() for section in self.sections if section.rows), *notes)
+        text = partial(Text, no_wrap=whole, overflow="ignore" if whole else None)
+        yield from map(text, self.lines)
+        yield from (section.table() for section in self.sections if section.rows)
+        yield from map(text, self.notes)
 
 
 def by_cause(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from condvln.instructions.predicates import PREDICATES, sayable
 from condvln.scene import Scene
 from jobs.explore import Exploration, explore
 from jobs.explore_scenes import ExploredScene
@@ -17,7 +19,9 @@ from jobs.explore_statistics import scene_yield
 from jobs.generate import run_generate
 from jobs.report import Report
 from jobs.sources import survey
+from jobs.workspace import published
 from schemas.config import Config, SourceConfig
+from schemas.program import asked_in
 from tests.site_chunks import chunk_content
 
 FLAT: dict[str, tuple[tuple[int, int], list[tuple[str, float, float]]]] = {
@@ -56,7 +60,7 @@ def flat(folder: Path) -> Config:
         name="flat",
         store=folder / "store",
         export=folder / "export",
-        sources=(SourceConfig(family="boxes", root=folder / "data"),),  # type: ignore[arg-type]
+        sources=(SourceConfig(family="boxes", root=folder / "data"),),
     )
 
 
@@ -133,3 +137,24 @@ def test_a_full_quota_is_no_reason_for_too_few_episodes() -> None:
     assert of_cell(10, 4, *full, ("episodes", "detour", 1), drawn)["reason"] == "no_waypoint"
     assert of_cell(10, 4, *full)["reason"] == "too_few_candidates"
     assert of_cell(4, 4, *full, drawn)["reason"] == ""
+
+
+def test_a_run_names_the_asked_predicates_that_no_condition_has(
+    made_run: tuple[Config, Report], target_predicates: Counter[str]
+) -> None:
+    config, report = made_run
+    asked = asked_in("replicacad") & sayable(config.instructions.directions) - {"far from"}
+    unasked = [name for name in PREDICATES if name in asked and not target_predicates[name]]
+    assert report.document["unasked_predicates"] == unasked
+    assert 0 < len(unasked) < len(asked), "some are asked, and some are not"
+    note = f"asked predicates without a condition: {', '.join(unasked)} ("
+    assert report.notes[-1].startswith(note)
+    assert not any("nothing was made" in line for line in report.notes)
+
+
+@pytest.fixture(scope="module")
+def target_predicates(made_run: tuple[Config, Report]) -> Counter[str]:
+    """How many conditions of the made run ask for each predicate."""
+    rows = published(made_run[0]).table("instructions").to_pylist()
+    qualifiers = [one["qualifier"] for row in rows for one in row["conditions"]]
+    return Counter(one["predicate"] for one in qualifiers if one is not None)
