@@ -82,9 +82,11 @@ def report_bias(targets: Sequence[Path]) -> Report:
 
     Raises
     ------
-    UsageError : a folder among several targets
+    UsageError : a folder among several targets, or a configuration
     InputError : a file can't be read
     """
+    if named := [str(path) for path in targets if path.suffix in (".yaml", ".yml")]:
+        raise UsageError("that is a configuration", where=named[0], remedy="Give an export: its folder.")
     folders = [path for path in targets if path.is_dir()]
     if folders and len(targets) > 1:
         raise UsageError(

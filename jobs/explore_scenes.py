@@ -150,7 +150,7 @@ class _Sliced:
         runs = pc.run_end_encode(table["scene_id"].combine_chunks()) if table.num_rows else None
         ends = [] if runs is None else runs.run_ends.to_pylist()
         names = [] if runs is None else runs.values.to_pylist()
-        self._runs = dict(zip(names, zip([0, *ends[:-1]], ends, strict=True), strict=True))
+        self._runs = dict(zip(names, zip([0, *ends][: len(ends)], ends, strict=True), strict=True))
 
     @property
     def scenes(self) -> list[str]:

@@ -16,6 +16,7 @@ from condvln.explorer.rejected import clash_examples, program_example, rule_text
 from condvln.manifest import manifest_lines, manifest_paths
 from factory.snapshot import Snapshot, read_manifest, read_ref
 from jobs.explore_scenes import ExploredScene
+from jobs.funnel import SURPLUS, Flow
 from jobs.workspace import open_store
 from schemas.base import Json
 from schemas.config import Config
@@ -32,16 +33,19 @@ __all__ = [
 ]
 
 SUMS: Final = ("wanted", "candidates", "rejected", "placed")
+FULL: Final = "these leaves already have their share; candidates of other leaves are lacking"
+"""Why candidates for which there was no room did not fill a gap."""
 EXAMPLES: Final = 3
 """Number of examples that are kept of each reason of rejection."""
 
 
 @dataclass
 class Counts:
-    """Sums over the scenes of a page."""
+    """Sums over the scenes of a page. `asked` has, by predicate, the numbers of false and of true conditions."""
 
     scenes: int = 0
     episodes: int = 0
+    asked: dict[str, list[int]] = field(default_factory=dict)
     relations: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     funnel: dict[tuple[str, str], list[int]] = field(default_factory=dict)
     rejections: dict[tuple[str, str, str], int] = field(default_factory=dict)
@@ -59,6 +63,9 @@ class Counts:
                 sums = self.relations.setdefault((source, row["predicate"]), [0, 0])
                 sums[0] += 1
                 sums[1] += bool(row["true_in_text"])
+        for condition in (one for row in scene.rows for one in row["program"]["conditions"]):
+            predicate = (condition["qualifier"] or {"predicate": "presence"})["predicate"]
+            self.asked.setdefault(predicate, [0, 0])[condition["truth"]] += 1
         tables = scene.tables or {}
         for row in tables.get("funnel", ()):
             sums = self.funnel.setdefault((source, row["cell"]), [0, 0, 0, 0])
@@ -95,23 +102,27 @@ class Counts:
 
 def scene_yield(scene: ExploredScene) -> Json | None:
     """Return what became of a scene's candidates: rows of the tables ``funnel`` and ``rejections``, the latter with the
-    rule in words; ``wanted`` and ``placed``, summed; and ``reason``, the most frequent one in the cells that have fewer
-    than wanted, of placing before drawing. None where nothing is known.
+    rule in words, what explains a gap best first; ``wanted`` and ``placed``, summed; and ``reason``, the most frequent
+    cause in the cells that have fewer than wanted, as in ``jobs.funnel``. None where nothing is known.
     """
     if not scene.tables:
         return None
     funnel = [[row[name] for name in ("cell", *SUMS)] for row in scene.tables["funnel"]]
     rejections = [[row[name] for name in ("cell", "stage", "reason", "count")] for row in scene.tables["rejections"]]
-    short = {row[0] for row in funnel if row[4] < row[1]}
-    reasons: Counter[tuple[bool, str]] = Counter()
-    for cell, stage, reason, count in rejections:
-        reasons[stage == PLACING, reason] += count if cell in short else 0
+    flow = Flow()
+    for cell, wanted, candidates, _, placed in funnel:
+        rejected, undrawn = (
+            {reason: n for at, stage, reason, n in rejections if at == cell and (stage == PLACING) == placing}
+            for placing in (True, False)
+        )
+        flow.add(Flow.of_cell(wanted, candidates, placed, rejected, undrawn))
+    rejections.sort(key=lambda row: (row[2] in SURPLUS, row[1] != PLACING, -row[3]))
     return {
-        "wanted": sum(row[1] for row in funnel),
-        "placed": sum(row[4] for row in funnel),
-        "reason": max(reasons, key=lambda key: (key[0], reasons[key]))[1] if short and reasons else "",
+        "wanted": flow.wanted,
+        "placed": flow.placed,
+        "reason": flow.reason(),
         "funnel": funnel,
-        "rejections": [[*row, rule_text(row[1], row[2])] for row in rejections],
+        "rejections": [[*row, FULL if row[2] in SURPLUS else rule_text(row[1], row[2])] for row in rejections],
     }
 
 
@@ -124,6 +135,7 @@ def statistics_document(counts: Counts, record: Mapping[str, Any] | None, former
     former : episodes of a former export or snapshot, with which these are compared
     """
     return {
+        "asked": counts.asked,
         "relations": [[*key, *sums] for key, sums in sorted(counts.relations.items())],
         "funnel": [[*key, *sums] for key, sums in sorted(counts.funnel.items())],
         "rejections": [

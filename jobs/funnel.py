@@ -12,7 +12,7 @@ that has all that was wanted has no causes, whatever was rejected on the way.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
@@ -21,7 +21,7 @@ import pyarrow as pa
 from factory.snapshot import Snapshot
 from jobs.report import Report, Section
 
-__all__ = ["Flow", "Funnel", "add_funnel", "funnel_of", "listed"]
+__all__ = ["SURPLUS", "Flow", "Funnel", "add_funnel", "funnel_of", "listed"]
 
 SHOWN_REASONS: Final = 3
 """Number of reasons named beside a row on a terminal; ``--json`` has all of them."""
@@ -29,6 +29,14 @@ SHOWN_SCENES: Final = 20
 """Number of scenes without episodes that are listed on a terminal."""
 SURPLUS: Final = frozenset({"quota_full", "gold_leaf_full", "truth_full"})
 """Reasons of candidates for which there was no room, in the cell or among those of their gold leaf."""
+NO_QUESTION: Final = "no statement about it is both possible as true and as false"
+UNCHECKED: Final = "its annotation was checked by nobody ('absence: never' at the source asks what claims no absence)"
+"""Why there is no question about a room, where its annotation lets it be asked and where not."""
+ADVICE: Final = "Put about six objects in a room, of different labels, each seen from where an agent can stand."
+SHOWN_ROOMS: Final = 6
+"""Number of rooms that are named of a scene without a question."""
+UNASKED: Final = "nothing_to_ask"
+"""Reason of draws in a scene about which there is no question."""
 TOO_FEW: Final = "too_few_candidates"
 """Cause of the episodes that would be missing even if every candidate had been placed."""
 PLACING: Final = "episodes"
@@ -86,6 +94,13 @@ class Flow:
             "undrawn": dict(_ranked(self.undrawn)),
         }
 
+    def reason(self) -> str:
+        """Return the most frequent cause of a shortage; where candidates are lacking, the most frequent one of that.
+        Empty where nothing is short.
+        """
+        cause = next((reason for reason, _ in _ranked(self.causes)), "")
+        return next((reason for reason, _ in _ranked(self.undrawn_of_short) if cause == TOO_FEW), cause)
+
     def why(self) -> str:
         """Return the most frequent causes of a shortage in one line. After the cause TOO_FEW, the line names the most
         frequent reasons why draws failed.
@@ -93,10 +108,8 @@ class Flow:
         return ", ".join(self._cause(reason, count) for reason, count in _ranked(self.causes)[:SHOWN_REASONS])
 
     def _cause(self, reason: str, count: int) -> str:
-        told = f"{reason} {count:,}"
-        if reason != TOO_FEW or not self.undrawn_of_short:
-            return told
-        return f"{told} ({listed(self.undrawn_of_short)})"
+        why = f" ({listed(self.undrawn_of_short)})" if reason == TOO_FEW and self.undrawn_of_short else ""
+        return f"{reason} {count:,}{why}"
 
 
 @dataclass
@@ -123,16 +136,7 @@ class Funnel:
     def sections(self) -> list[Section]:
         """Return sections for a terminal: the cells, and the scenes without episodes."""
         rows = [
-            (
-                source,
-                cell,
-                f.wanted,
-                f.candidates,
-                sum(f.rejected.values()),
-                f.placed,
-                f.short,
-                f.why(),
-            )
+            (source, cell, f.wanted, f.candidates, f.rejected.total(), f.placed, f.short, f.why())
             for (source, cell), f in self.cells.items()
         ]
         columns = ("source", "cell", "wanted", "candidates", "rejected", "placed", "short", "mostly by")
@@ -183,6 +187,7 @@ def funnel_of(snapshot: Snapshot) -> Funnel:
         scenes[f"{source}/{scene}"].add(flow)
         cells[source, cell].add(flow)
     barren = {name: told.get(name) or _explained(flow) for name, flow in scenes.items() if not flow.placed}
+    barren |= _unasked(snapshot, {name for name, why in barren.items() if why.startswith(f"{UNASKED}:")})
     return Funnel(dict(sorted(scenes.items())), dict(sorted(cells.items())), dict(sorted(barren.items())))
 
 
@@ -191,23 +196,45 @@ def _rows(table: pa.Table) -> Iterable[dict[str, Any]]:
         yield from batch.to_pylist()
 
 
+def _unasked(snapshot: Snapshot, wanted: Collection[str]) -> dict[str, str]:
+    """Return why there is no question about the `wanted` scenes, room by room, and what to do."""
+    if not wanted:
+        return {}
+
+    def rows(table: str, *columns: str) -> Iterable[tuple[str, dict[str, Any]]]:
+        for row in _rows(snapshot.table(table, ["scene_id", *columns])):
+            if (name := f"{row['source']}/{row['scene_id']}") in wanted:
+                yield name, row
+
+    seeable = {(name, row["object_id"]) for name, row in rows("visibility", "object_id", "seeable") if row["seeable"]}
+    things = rows("objects", "object_id", "room_id")
+    seen = Counter((name, row["room_id"]) for name, row in things if (name, row["object_id"]) in seeable)
+    told: defaultdict[str, list[str]] = defaultdict(list)
+    for name, row in rows("rooms", "room_id", "label", "asked", "n_objects"):
+        room, why = row["room_id"], NO_QUESTION if row["asked"] else UNCHECKED
+        called = room if room.startswith(row["label"]) else f"{row['label']} ({room})"
+        told[name].append(f"{called}: {row['n_objects']} objects, {seen[name, room]} of them seen; {why}")
+    for rooms in told.values():
+        rooms[SHOWN_ROOMS:] = [f"and {len(rooms) - SHOWN_ROOMS} more rooms"] if len(rooms) > SHOWN_ROOMS else []
+    return {name: f"{UNASKED}: {'. '.join([*rooms, ADVICE])}" for name, rooms in told.items()}
+
+
 def _explained(flow: Flow) -> str:
     """Return why a scene has no episodes: the most frequent reason why candidates were rejected or, without candidates,
     why draws failed.
     """
     # The science is needed for its words alone, and only here.
-    from condvln.episodes.candidates import REASONS as PLACING_REASONS
-    from condvln.instructions.degeneracy import REASONS as DRAWING_REASONS
+    from condvln.explorer.rejected import REASONS
 
     if not flow.wanted:
         return "no episodes were wanted of it"
-    counts, meanings = (flow.rejected, PLACING_REASONS) if flow.candidates else (flow.undrawn, DRAWING_REASONS)
+    counts, stage = (flow.rejected, PLACING) if flow.candidates else (flow.undrawn, "programs")
     counts = Counter({reason: count for reason, count in counts.items() if reason not in SURPLUS})
     if not counts:
         return "no candidate was drawn"
     reason, count = _ranked(counts)[0]
     what = "candidates" if flow.candidates else "draws"
-    return f"{reason}: {meanings[reason]} ({count:,} of {sum(counts.values()):,} {what})"
+    return f"{reason}: {REASONS[stage][reason]} ({count:,} of {sum(counts.values()):,} {what})"
 
 
 def listed(counts: Counter[str]) -> str:

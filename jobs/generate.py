@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection
 from typing import Any, Final
 
+import pyarrow.compute as pc
 from rich.console import Console
 
+from condvln.instructions.predicates import GROUP_OF, PREDICATES, sayable
 from factory.report import ABORTED, RunReport
 from factory.run import run
 from factory.stage import Unit
 from factory.store import Store
 from jobs.executor import every_node_sees, open_executor
 from jobs.export import alone_in_export, write_export
-from jobs.funnel import add_funnel
+from jobs.funnel import add_funnel, listed
 from jobs.pipeline import build_pipeline, listed_units
 from jobs.progress import LoggedRun, RunProgress
 from jobs.report import Report, Section, by_cause
 from jobs.workspace import alone_in_store, git_revision, local_state, open_store, published
 from schemas.config import Config
 from schemas.errors import CorruptShardError, SmallerExportError
+from schemas.program import asked_in
 
 __all__ = ["add_export", "bring_up_to_date", "run_generate", "run_report"]
 
@@ -64,7 +68,32 @@ def _whole_report(config: Config, done: RunReport, renewed: bool) -> Report:
         add_funnel(report, published(config), short=True)
     if config.export is not None and done.exit_code != ABORTED and done.snapshot_id is not None:
         add_export(report, config, renewed=renewed)
+    if done.snapshot_id is not None:
+        _add_notes(report, config)
     return report
+
+
+def _add_notes(report: Report, config: Config) -> None:
+    """Add what a reader should know at the end: that nothing was made, and predicates that no condition asks."""
+    snapshot = published(config)
+    if not snapshot.manifest.tables["instructions"].rows:
+        reasons = Counter(str(scene["why"]).split(":")[0] for scene in report.document["funnel"]["scenes"])
+        report.notes.append(
+            f"WARNING: nothing was made: none of {reasons.total():,} scenes has an instruction ({listed(reasons)}); "
+            "the table 'Scenes without episodes' says why, and what to do"
+        )
+        return
+    conditions = pc.list_flatten(snapshot.table("instructions", ["conditions"])["conditions"])
+    said = {*pc.struct_field(conditions, ["qualifier", "predicate"]).unique().to_pylist()}
+    families = {asked for source in config.sources for asked in asked_in(source.family)}
+    weights, usable = config.sampling.predicates, families & sayable(config.instructions.directions) - said
+    unasked = [name for name in PREDICATES if name in usable and getattr(weights, GROUP_OF[name])]
+    report.document["unasked_predicates"] = unasked
+    if unasked:
+        report.notes.append(
+            f"asked predicates without a condition: {', '.join(unasked)} (their truth hardly varies in these scenes, "
+            "or their group has little weight)"
+        )
 
 
 def bring_up_to_date(

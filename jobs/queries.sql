@@ -91,8 +91,8 @@ FROM conditions GROUP BY source, label, room ORDER BY conditions DESC, source, l
 
 -- query: rejections
 -- why candidates were rejected, by stage
-SELECT stage, reason, sum(count)::BIGINT AS candidates, count(DISTINCT scene_id) AS scenes
-FROM rejections GROUP BY stage, reason ORDER BY candidates DESC, stage, reason;
+SELECT stage, reason, sum(count)::BIGINT AS candidates, count(DISTINCT scene_id) AS scenes, any_value(meaning) AS meaning
+FROM rejections LEFT JOIN reasons USING (stage, reason) GROUP BY stage, reason ORDER BY candidates DESC, stage, reason;
 
 -- query: funnel
 -- for each source, category and cell: episodes wanted, candidates drawn, rejected and placed, episodes missing

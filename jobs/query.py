@@ -89,6 +89,11 @@ def connect(target: Target, sql: str = "") -> duckdb.DuckDBPyConnection:
     for name, view in VIEWS.items():
         if all(paths.get(table) for table in view.tables):
             connection.execute(f"CREATE VIEW {name} AS {view.sql}")
+    if not sql or "reasons" in sql:
+        from condvln.explorer.rejected import REASONS  # loads the science
+
+        told = ", ".join(f"({_quoted((stage, *one))})" for stage, own in REASONS.items() for one in own.items())
+        connection.execute(f"CREATE VIEW reasons AS SELECT * FROM (VALUES {told}) AS t(stage, reason, meaning)")
     if splits:
         connection.execute(f"CREATE VIEW splits AS SELECT * FROM read_parquet([{_quoted(splits)}])")
     connection.execute("SET lock_configuration = true")
@@ -154,7 +159,8 @@ def query_target(target: Target, sql: str, out: Path | None = None) -> Report:
                 remedy = "Query other files beside the tables in DuckDB's own Python: docs/cookbook.md shows how."
             raise UsageError(str(error).strip(), place="SQL", remedy=remedy) from None
     plain = [[_plain(value) for value in row] for row in rows]
-    return Report({"columns": columns, "rows": plain}, _outdated(target, sql), _sections(columns, plain))
+    lines = [*_outdated(target, sql), *([] if plain else ["0 rows"])]
+    return Report({"columns": columns, "rows": plain}, lines, _sections(columns, plain))
 
 
 def _outdated(target: Target, sql: str) -> list[str]:

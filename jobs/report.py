@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import typer
@@ -56,12 +57,13 @@ class Section:
 
 @dataclass
 class Report:
-    """Lines and tables for people, `document` for scripts, and the exit code."""
+    """Lines, tables and `notes` after them for people, `document` for scripts, and the exit code."""
 
     document: dict[str, Any]
     lines: list[str] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     exit_code: int = 0
+    notes: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
         """Return the document, with the exit code."""
@@ -70,8 +72,10 @@ class Report:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         # A terminal wraps long lines where it is narrow; in a file a line is one message.
         whole = not console.is_terminal
-        yield from (Text(line, no_wrap=whole, overflow="ignore" if whole else None) for line in self.lines)
+        text = partial(Text, no_wrap=whole, overflow="ignore" if whole else None)
+        yield from map(text, self.lines)
         yield from (section.table() for section in self.sections if section.rows)
+        yield from map(text, self.notes)
 
 
 def by_cause(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:

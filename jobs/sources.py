@@ -33,6 +33,9 @@ __all__ = ["SceneYield", "Survey", "scene_yield", "survey", "survey_source"]
 
 SHOWN: Final = 20
 """Number of scenes and labels listed on a terminal; ``--json`` has all of them."""
+ENOUGH: Final = 6
+"""Number of objects of a room with which something can usually be asked about it."""
+FEW: Final = f"with fewer than {ENOUGH} objects in each room, often nothing can be asked; put about {ENOUGH} in a room"
 
 
 def survey(config: Config, *, limit: int | None = None, console: Console | None = None) -> Report:
@@ -92,6 +95,7 @@ def survey(config: Config, *, limit: int | None = None, console: Console | None 
         sections["Navmeshes"] += [(family, origin, count) for origin, count in sorted(found.navmeshes.items())]
         sections["Will yield"].append((family, *_yield_row(found)))
         sections["Will yield nothing"] += [(family, y.scene_id, y.nothing) for y in found.yields if y.nothing][:SHOWN]
+        sections["May yield nothing"] += [(family, y.scene_id, y.most, FEW) for y in found.yields if y.doubtful][:SHOWN]
         sections["Unmapped labels"] += [
             (family, raw, count, _may_be(raw, family)) for raw, count in found.unmapped_labels.most_common(SHOWN)
         ]
@@ -123,14 +127,16 @@ _COLUMNS: Final = {
     "Navmeshes": ("family", "navmesh", "scenes"),
     "Will yield": (
         "family",
-        "scenes with instructions",
-        "without",
+        "scenes with a room of six objects",
+        "with fewer",
+        "no instructions",
         "with claims of absence",
         "(room, label) pairs never called absent",
         "nameless objects",
         "hidden objects",
     ),
     "Will yield nothing": ("family", "scene", "why"),
+    "May yield nothing": ("family", "scene", "most in a room", "why"),
     "Unmapped labels": ("family", "raw label", "objects", "may be"),
     "Unmapped rooms": ("family", "raw label", "rooms"),
     "Warnings": ("family", "code", "places"),
@@ -142,8 +148,10 @@ _COLUMNS: Final = {
 
 def _yield_row(found: Survey) -> tuple[int, ...]:
     some = [one for one in found.yields if not one.nothing]
+    doubtful = sum(one.doubtful for one in some)
     return (
-        len(some),
+        len(some) - doubtful,
+        doubtful,
         len(found.yields) - len(some),
         sum(one.absence > 0 for one in some),
         *(sum(getattr(one, name) for one in found.yields) for name in ("blocked", "nameless", "hidden")),
@@ -278,6 +286,7 @@ class SceneYield:
     absence : rooms where something can be said to be absent
     blocked : (room, label) pairs whose absence would be claimed, were it not for something that may bear the label
     nameless : objects of no label of their own that block some; hidden : objects in something shut
+    most : most objects of one room that text can name
     """
 
     scene_id: str
@@ -288,6 +297,12 @@ class SceneYield:
     blocked: int
     nameless: int
     hidden: int
+    most: int
+
+    @property
+    def doubtful(self) -> bool:
+        """Return whether there may be instructions, and yet no room has as many objects as usually do."""
+        return not self.nothing and self.most < ENOUGH
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,6 +367,7 @@ def scene_yield(scene: Scene, anchor_size: float) -> SceneYield:
             for item in scene.objects
         ),
         hidden=sum(item.hidden for item in scene.objects),
+        most=max((int(one.nameable.sum()) for one in referents), default=0),
     )
 
 

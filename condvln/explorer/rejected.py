@@ -6,26 +6,28 @@ from collections.abc import Collection, Mapping, Sequence
 from itertools import islice
 from typing import Any, Final
 
-from condvln.episodes.candidates import REASONS as PLACING
-from condvln.instructions.degeneracy import REASONS as DRAWING
+from condvln.episodes import candidates
+from condvln.instructions import degeneracy
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
 from condvln.labels import vocabulary
 from schemas.program import Condition, ObjectRef, Program
 
-__all__ = ["clash_examples", "program_example", "rule_text"]
+__all__ = ["REASONS", "clash_examples", "program_example", "rule_text"]
 
 Document = dict[str, Any]
 CLASHES: Final = frozenset(
     ("tautology", "implied", "one_label", "given_away", "names_stop", "circular", "two_things")
 )  # fmt: skip
 """Rules by which a condition does not fit the stops or the other conditions of a program."""
+REASONS: Final = {candidates.DRAWING: degeneracy.REASONS, candidates.PLACING: candidates.REASONS}
+"""What each reason of rejection means, by stage."""
 TRIED: Final = 20
 """Number of programs of a scene in which an example of a rule is looked for."""
 
 
 def rule_text(stage: str, reason: str) -> str:
     """Return in words the rule by which a stage rejects; empty for an unknown one."""
-    return (DRAWING if stage == "programs" else PLACING).get(reason, "")
+    return REASONS.get(stage, {}).get(reason, "")
 
 
 def program_example(program: Program) -> Document:

@@ -281,8 +281,8 @@ def degeneracies(program: Program, vocabulary: Vocabulary) -> tuple[str, ...]:
 
 
 REASONS: Final[dict[str, str]] = {
-    "nothing_to_ask": "no nameable room has both true and false statements: its annotation is incomplete, "
-    "it has too few objects, or they are not visible from where an agent can stand",
+    "nothing_to_ask": "no nameable room has a statement that may be true as well as one that may be false: too few of "
+    "its objects are seen from where an agent can stand (about six in a room do), or its annotation is incomplete",
     "no_targets": "too few objects can be named, reached and distinguished",
     "no_waypoint": "no further stop is far enough from the leaf's other stops and the other leaves' goals",
     "one_first_stop": "more than half of the leaves begin with the same stop",

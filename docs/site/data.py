@@ -9,6 +9,7 @@ from pathlib import Path
 import duckdb
 import pyarrow as pa
 
+from condvln.explorer.rejected import REASONS
 from jobs.query import QUERIES, VIEWS
 from schemas.generate import inner_fields
 from schemas.tables import ABOUT, EXPORT_TABLES, SORT_KEYS, TABLES, TRAJECTORY_TABLES, description
@@ -75,7 +76,7 @@ def view_columns(name: str) -> list[tuple[str, str, str]]:
 
 
 def views_page() -> str:
-    """Return the text of ``docs/views.md``: every column of every view, and the named queries."""
+    """Return the text of ``docs/views.md``: views with their columns, named queries, and reasons of rejections."""
     parts = [
         "# Views and named queries",
         "Made from `jobs/queries.sql` by `python docs/site/data.py`. `condvln query CONFIG SQL` reads views as it does "
@@ -88,7 +89,20 @@ def views_page() -> str:
         parts.append(f"## {name}\n\n{view.about[0].upper()}{view.about[1:]}, from {tables}.\n\n{table}")
     queries = [f"| `{name}` | {query.about} |" for name, query in QUERIES.items()]
     parts.append("\n".join(["## Named queries\n", "| name | answer |", "|---|---|", *queries]))
+    parts.append(
+        "## Reasons\n\nWhat the column `reason` of `rejections` says, and so the funnel. Draws of programs (stage "
+        "`programs`) fail before there is a candidate; candidates (stage `episodes`) are rejected when they are "
+        "placed. Queries have it as a table: `JOIN reasons USING (stage, reason)` adds the column `meaning`."
+    )
+    parts += [_reasons(stage, reasons) for stage, reasons in REASONS.items()]
     return "\n\n".join(parts) + "\n"
+
+
+def _reasons(stage: str, reasons: Mapping[str, str]) -> str:
+    """Return the table of the reasons of a stage."""
+    return "\n".join(
+        [f"| {stage} | reason |", "|---|---|", *(f"| `{name}` | {why} |" for name, why in reasons.items())]
+    )
 
 
 def _type(kind: pa.DataType) -> str:

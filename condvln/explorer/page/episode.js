@@ -175,7 +175,8 @@
     if (!found || !found.outcome[row]) return "not scored";
     const leaf = found.scores.committed_leaf?.[row];
     const name = explorer.index.outcomes[found.outcome[row]];
-    return leaf >= 0 ? `${name}, leaf ${leaf}` : name;
+    const away = name === "no commit" ? found.scores.navigation_error?.[row] : null; // to the gold leaf's
+    return leaf >= 0 ? `${name}, leaf ${leaf}` : away > 0 ? `${name}, ${number(away)} m from the nearest goal point of the gold leaf` : name;
   }
 
   function agentTable(row) {

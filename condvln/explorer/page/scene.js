@@ -42,18 +42,18 @@
 
   const MOST = 3;
 
-  /* Return why a scene has fewer episodes than wanted: a row for each cell, the reasons with most rejections first. */
+  /* Return why a scene has fewer episodes than wanted: a row for each cell, what explains it best first. */
   function yields(made, entry, name) {
     if (!made) return "";
     const rows = made.funnel.map(([cell, wanted, candidates, , placed]) => {
-      const own = made.rejections.filter((row) => row[0] === cell).sort((a, b) => (b[1] === "episodes") - (a[1] === "episodes") || b[3] - a[3]).slice(0, placed < wanted ? MOST : 0);
+      const own = made.rejections.filter((row) => row[0] === cell).slice(0, placed < wanted ? MOST : 0);
       const asked = { scene: name, [cell === "counterfactual groups" ? "group" : "category"]: cell === "counterfactual groups" ? "any" : cell };
       return [link(cell.replaceAll("_", " "), "browse", asked), count(wanted), count(candidates), count(placed),
         own.length ? element("ul", { class: "plain" }, own.map(([, stage, reason, n, rule]) => element("li", {}, `${count(n)} ${stage === "episodes" ? "candidates" : "draws"}: ${rule || reason}`))) : "–"];
     });
     const short = made.funnel.filter((row) => row[4] < row[1]).length;
     return element("section", { class: "stacked wide yields", id: "yield" }, element("h2", {}, "What it yields"),
-      element("p", {}, short ? `${count(entry.placed)} of ${count(entry.wanted)} wanted episodes were placed. What rejects most: ${(entry.reason || "no candidate could be drawn").replaceAll("_", " ")}.` : `All ${count(entry.wanted)} wanted episodes were placed.`),
+      element("p", {}, short ? `${count(entry.placed)} of ${count(entry.wanted)} wanted episodes were placed. Main reason: ${(entry.reason || "no candidate could be drawn").replaceAll("_", " ")}.` : `All ${count(entry.wanted)} wanted episodes were placed.`),
       explorer.table("Candidates and episodes by category, and what rejected most", ["category", "#wanted", "#candidates", "#placed", "rejected because"], rows, "yield"));
   }
 

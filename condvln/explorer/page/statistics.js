@@ -41,12 +41,12 @@
   const words = (name) => name.replaceAll("_", " ");
 
   /* Return a chart of horizontal bars; each has a label, a number and a link. `most` is the length of all charts that are
-     compared. An entry `of` a whole is a part of that. */
+     compared. An entry `of` a whole is a part of that; `more` is said behind the number. */
   function bars(title, entries, name, most = Math.max(1, ...entries.map((one) => one.of ?? one.value))) {
     return element("section", { class: "bars", "data-bars": name }, element("h3", {}, title), element("ul", {},
       entries.map((one) => element("li", { title: one.title ?? (explorer.meaning(one.label) || null) }, one.address ? element("a", { href: one.address }, words(one.label)) : element("span", {}, words(one.label)),
         element("meter", { min: 0, max: one.of ?? most, value: one.value, "aria-label": `${one.label}: ${one.value}` }),
-        element("span", { class: "value" }, count(one.value), one.of === undefined ? "" : ` of ${count(one.of)}`)))));
+        element("span", { class: "value" }, count(one.value), one.of === undefined ? "" : ` of ${count(one.of)}`, one.more ?? "")))));
   }
 
   /* Return a chart for each value of the first column of some rows. */
@@ -66,14 +66,29 @@
     return bars(explorer.TITLES[name], entries, name);
   }
 
-  function listed(name) {
+  function listed(name, more = () => undefined) {
     const { values } = explorer.index.lists[name];
     const names = explorer.index.names[name];
     const found = new Int32Array(names.length);
     for (const value of values) found[value] += 1;
     const entries = [...found.keys()].sort((a, b) => found[b] - found[a]).slice(0, MOST).map((k) => ({
-      label: names[k], value: found[k], address: explorer.address("browse", { [name]: names[k] }) }));
+      label: names[k], value: found[k], more: more(names[k]), address: explorer.address("browse", { [name]: names[k] }) }));
     return bars(name === "label" ? `Labels that episodes name (first ${MOST})` : "Predicates of conditions", entries, name);
+  }
+
+  /* Return the share of the conditions with a predicate that are true, in words. */
+  function trueShare([not, held]) {
+    return not + held ? `, ${explorer.number((100 * held) / (not + held), 0)} % true` : "";
+  }
+
+  /* Return which predicates are asked in episodes of which source, each as "source predicate". */
+  function askedBySource() {
+    const { index } = explorer;
+    const { offsets, values } = index.lists.predicate;
+    const found = new Set();
+    for (let row = 0; row < index.size; row += 1)
+      for (let k = offsets[row]; k < offsets[row + 1]; k += 1) found.add(`${explorer.named("source", row)} ${index.names.predicate[values[k]]}`);
+    return found;
   }
 
   function goldLabels() {
@@ -140,6 +155,7 @@
   explorer.views.statistics = async (main) => {
     const found = await explorer.load("statistics");
     const { index } = explorer;
+    const asked = askedBySource();
     const section = (title, ...nodes) => element("section", {}, element("h2", {}, title), nodes);
     main.replaceChildren(element("h1", {}, "Statistics"),
       element("p", { id: "totals" }, `${count(index.size)} episodes of ${count(index.scenes.length)} scenes, ${count(index.groups)} counterfactual groups`,
@@ -147,9 +163,10 @@
       section("Episodes by cell", crossed("split", "category"), crossed("source", "category"), crossed("source", "split"),
         crossed("composition", "category"), crossed("observability", "category")),
       section("Lengths", element("div", { class: "columns" }, histogram("route_length"), histogram("words"))),
-      section("Labels and predicates", element("div", { class: "columns" }, goldLabels(), listed("label"), listed("predicate"))),
-      found.relations.length ? section("Relations of the scenes", element("p", { class: "note" }, "Relations that text may state, of all that hold. Each bar is a link to the episodes that ask for it."),
-        bySource(found.relations, "relations", ([source, predicate, emitted, fit]) => ({ label: predicate, value: fit, of: emitted, address: explorer.address("browse", { source, predicate }) }), (row) => row[0]),
+      section("Labels and predicates", element("div", { class: "columns" }, goldLabels(), listed("label"), listed("predicate", (name) => trueShare(found.asked?.[name] ?? [0, 0]))),
+        element("p", { class: "note" }, "Numbers count episodes. Behind a predicate: the share of the conditions that ask for it and are true.")),
+      found.relations.length ? section("Relations of the scenes", element("p", { class: "note" }, "Relations that text may state, of all that hold. A bar of what some episode asks is a link to those episodes."),
+        bySource(found.relations, "relations", ([source, predicate, emitted, fit]) => ({ label: predicate, value: fit, of: emitted, address: asked.has(`${source} ${predicate}`) ? explorer.address("browse", { source, predicate }) : null }), (row) => row[0]),
         numbers(explorer.table("Emitted edges, and those that text may use", ["source", "predicate", "#emitted", "#fit for text"],
         found.relations.map((row) => [row[0], row[1], count(row[2]), count(row[3])]), "relations"))) : "",
       found.funnel.length ? section("Funnel", funnel(found.funnel)) : "",

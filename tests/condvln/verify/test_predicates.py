@@ -114,7 +114,13 @@ def test_equal_in_layered_rooms(seeds: Iterable[int], each: int) -> None:
     assert arms >= 3
     assert said >= 12
     predicates = {*PAIR_PREDICATES, *SIZE_PREDICATES, "between", "closest to"}
-    assert {key: tally[key] for key in product(predicates, (1, 0, -1)) if tally[key] < each} == {}
+    verdicts = {TRUE: "true", FALSE: "false", UNDECIDED: "neither true nor false"}
+    rare = [
+        f"{name!r} is {verdicts[truth]} {tally[name, truth]} times, not {each}"
+        for name, truth in product(sorted(predicates), verdicts)
+        if tally[name, truth] < each
+    ]
+    assert not rare, f"tests/condvln/relations/layered_rooms.py should arrange things so: {'; '.join(rare)}"
 
 
 def test_equal_on_turned_boxes() -> None:
