@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from condvln.trajectories.cameras import PRESETS
-from jobs.export import export_snapshot_of
+from jobs.export import run_export
 from jobs.report import Report
 from jobs.trajectories import Request, make_trajectories
 from schemas.config import Config
@@ -29,7 +29,7 @@ def asked(made_run: tuple[Config, Report], tmp_path_factory: pytest.TempPathFact
     """The request of the tests, over an export of the made dataset; the folder is to be replaced."""
     config, _ = made_run
     export = tmp_path_factory.mktemp("export")
-    export_snapshot_of(config.model_copy(update={"export": export}))
+    run_export(config.model_copy(update={"export": export}))
     counts: dict[str, int] = json.loads((export / "export.json").read_text())["episodes"]
     (source,) = config.sources
     return Request(
