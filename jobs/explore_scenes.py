@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -25,13 +25,13 @@ from factory.pipeline import Pipeline
 from factory.snapshot import Snapshot
 from jobs.pipeline import build_pipeline, built_navmeshes
 from jobs.workspace import published
+from schemas.base import Json as Row
 from schemas.config import Config, Thresholds
 from schemas.errors import InputError, StoreError
 from schemas.program import Program
 
 __all__ = ["ExploredScene", "Scenes", "export_scenes", "snapshot_scenes"]
 
-Row = dict[str, Any]
 _TABLES: Final = ("scenes", "rooms", "objects", "relations", "visibility", "instructions", "episodes", "rejections",
                   "funnel")  # fmt: skip
 

@@ -15,6 +15,7 @@ from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import EpisodePool, PooledEpisode
 from condvln.scene import Room, Scene, round_mm
+from schemas.base import Json as Row
 from schemas.config import InstructionCell, StepBudget
 from schemas.config.constants import GROUP_SIZE
 from schemas.program import SHAPES
@@ -37,8 +38,6 @@ LOOKING_COLUMNS: Final = (
 """Columns of the looking path; null where there is none."""
 PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS])
 """Schema of the episodes table without the columns that `with_text` adds."""
-
-Row = dict[str, Any]
 
 
 def placements_table(scene: Scene, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str) -> pa.Table:

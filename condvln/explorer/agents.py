@@ -19,10 +19,10 @@ from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.render import as_document, written
 from condvln.evaluation.tables import Cell, Column, Table
 from condvln.navigation.protocol import PathfinderProtocol
+from schemas.base import Json as Document
 
 __all__ = ["OUTCOMES", "AgentResults", "difference_table", "outcomes", "table_document", "walk_document"]
 
-Document = dict[str, Any]
 OUTCOMES: Final = ("not scored", "success", "wrong branch", "no commit", "right leaf, failed", "no prediction")
 """What became of an episode. The page lists them in this order; an agent has a number of them per episode."""
 _SHOWN: Final = (*keys_of("walks"), "committed_leaf")

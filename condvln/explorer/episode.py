@@ -20,12 +20,12 @@ from condvln.instructions.grammar_source import grammar_source
 from condvln.instructions.language import Language, Slot, language
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, VLN_CE
 from condvln.scene.rotations import heading_of
+from schemas.base import Json as Document
+from schemas.base import Row
 from schemas.program import Program
 
 __all__ = ["UNPUBLISHED", "clauses", "episode_document", "episode_labels"]
 
-Row = Mapping[str, Any]
-Document = dict[str, Any]
 UNPUBLISHED: Final = "not exported"
 """Split of an episode that is in the snapshot and in no split of the export."""
 

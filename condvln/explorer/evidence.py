@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 import shapely
@@ -12,13 +11,12 @@ from condvln.explorer.measures import RoomMeasures, bearing_criteria, decided, s
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
 from condvln.scene import Scene
+from schemas.base import Json as Document
+from schemas.base import Row
 from schemas.config import Thresholds
 from schemas.program import BEARINGS, Condition, Qualifier
 
 __all__ = ["SceneFacts", "rule_of"]
-
-Row = Mapping[str, Any]
-Document = dict[str, Any]
 
 
 class SceneFacts:

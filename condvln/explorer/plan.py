@@ -14,10 +14,10 @@ from condvln.episodes.footprint import Footprint
 from condvln.labels import vocabulary
 from condvln.navigation.tile import NavMeshTile
 from condvln.scene import Room, Scene, SceneObject
+from schemas.base import Json as Document
 
 __all__ = ["floor_document", "graph_document", "plan_document"]
 
-Document = dict[str, Any]
 F64 = NDArray[np.float64]
 _DECIMALS: Final = 3
 

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from itertools import islice
-from typing import Any, Final
+from typing import Final
 
 from condvln.episodes import candidates
 from condvln.instructions import degeneracy
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
 from condvln.labels import vocabulary
+from schemas.base import Json as Document
 from schemas.program import Condition, ObjectRef, Program
 
 __all__ = ["REASONS", "clash_examples", "program_example", "rule_text"]
 
-Document = dict[str, Any]
 CLASHES: Final = frozenset(
     ("tautology", "implied", "one_label", "given_away", "names_stop", "circular", "two_things")
 )  # fmt: skip
 """Rules by which a condition does not fit the stops or the other conditions of a program."""
-REASONS: Final = {candidates.DRAWING: degeneracy.REASONS, candidates.PLACING: candidates.REASONS}
+REASONS: Final[Mapping[str, Mapping[str, str]]] = {
+    candidates.DRAWING: degeneracy.REASONS,
+    candidates.PLACING: candidates.REASONS,
+}
 """What each reason of rejection means, by stage."""
 TRIED: Final = 20
 """Number of programs of a scene in which an example of a rule is looked for."""

@@ -23,11 +23,11 @@ from condvln.evaluation.metrics import metrics_of
 from condvln.explorer.agents import OUTCOMES, AgentResults
 from condvln.explorer.episode import episode_labels
 from condvln.formats.streams import write_file
+from schemas.base import Json as Document
 from schemas.errors import UsageError
 
 __all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes"]
 
-Document = dict[str, Any]
 PAGE: Final = "index.html"
 DATA: Final = "data"
 _PAGE_FILES: Final = files("condvln.explorer").joinpath("page")

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from condvln.sources.gibson import GibsonSource, verified_twin
+from schemas.base import Json as Row
 from schemas.errors import FormatError, MissingFileError, StoreError
 from schemas.tables import EXPORT_TABLES
 
@@ -39,7 +40,6 @@ __all__ = [
 
 _REMEDY: Final = "Run condvln generate CONFIG --verify, which rebuilds damaged files"
 
-Row = dict[str, Any]
 
 _POINTS: Final = (["x", "z"], ["x", "y", "z"], ["x", "y", "z", "w"])
 _BUFFER: Final = 1 << 14

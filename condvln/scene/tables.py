@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -13,11 +13,10 @@ from condvln.arrays import F64
 from condvln.scene.boxes import aabb_of
 from condvln.scene.rotations import stored_matrix, stored_quaternion
 from condvln.scene.scene import MeshPart, NavmeshFile, OrientedBox, Room, Scene, SceneObject, SceneWarning
+from schemas.base import Json as Row
 from schemas.tables import OBJECTS, ROOMS, SCENES
 
 __all__ = ["room_of", "scene_from_tables", "scene_tables"]
-
-Row = dict[str, Any]
 
 
 def scene_tables(

@@ -290,8 +290,8 @@ def test_statistics_equal_the_tables(page: Page, made: Run) -> None:
         name.replace("_", " "): f"{math.floor(100 * sum(truths) / len(truths) + 0.5)} % true"
         for name, truths in asked.items()
     }
-    linked = {(parts["source"][0], parts["predicate"][0]) for parts in (
-        parse_qs(link.get_attribute("href").split("?")[1]) for link in page.all("[data-bars^='relations-'] a"))}  # fmt: skip
+    links = [parse_qs(link.get_attribute("href").split("?")[1]) for link in page.all("[data-bars^='relations-'] a")]
+    linked = {(parts["source"][0], parts["predicate"][0]) for parts in links}
     assert linked == emitted & of_source, "a bar that leads to nothing is no link"
     assert made.config.export is not None
     gate = json.loads((made.config.export / "export.json").read_text())["bias"]
