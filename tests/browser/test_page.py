@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import defaultdict
 from pathlib import Path
+from urllib.parse import parse_qs
 
 import pytest
 from selenium.webdriver.common.by import By
@@ -136,6 +138,20 @@ def count_of_agent(page: Page, agent: str) -> int:
     return int(page.run(script, agent))
 
 
+def test_an_agent_that_committed_to_no_leaf_is_told_how_far_it_was(page: Page) -> None:
+    page.go("#/browse")
+    name = page.run("""
+        const [agent] = explorer.index.agents;
+        const row = agent.outcome.findIndex(Boolean);
+        agent.outcome[row] = explorer.index.outcomes.indexOf("no commit");
+        Object.assign(agent.scores, { committed_leaf: [], navigation_error: [] });
+        agent.scores.navigation_error[row] = 1.5;
+        return explorer.index.columns.id[row];""")
+    page.go(f"#/episode/{name}")
+    row = next(row for row in cells(page, "agents-here") if row.startswith("perfect|"))
+    assert row.split("|")[1] == "no commit 1.50 m from the nearest goal point of the gold leaf"
+
+
 def test_failures_and_differences_of_agents_are_filters(page: Page, made: Run) -> None:
     page.go("#/agents")
     table = {row[0]: row[1:] for row in (row.split("|") for row in cells(page, "outcomes"))}
@@ -255,6 +271,26 @@ def test_statistics_equal_the_tables(page: Page, made: Run) -> None:
     relations = made.ask("""select source, predicate, count(*), count(*) filter (true_in_text) from relations
         where kind = 'semantic' group by 1, 2 order by 1, 2""")
     assert [tuple(row.split("|")) for row in cells(page, "relations")] == [tuple(map(str, row)) for row in relations]
+    emitted = {(source, predicate) for source, predicate, *_ in relations}
+    asked: defaultdict[str, list[bool]] = defaultdict(list)
+    of_source = set()
+    conditions = made.ask("""
+        select e.source, coalesce(one.qualifier.predicate, 'presence'), one.truth
+        from episodes as e join instructions as i using (source, scene_id, instruction_id),
+        unnest(i.conditions) as unnested(one)""")
+    for source, predicate, truth in conditions:
+        asked[predicate].append(truth)
+        of_source.add((source, predicate))
+    names = page.texts("[data-bars='predicate'] li > :first-child")
+    values = page.texts("[data-bars='predicate'] .value")
+    assert {name: text.split(", ")[1] for name, text in zip(names, values, strict=True)} == {
+        name.replace("_", " "): f"{math.floor(100 * sum(truths) / len(truths) + 0.5)} % true"
+        for name, truths in asked.items()
+    }
+    links = page.all("[data-bars^='relations-'] a")
+    parts = [parse_qs(str(link.get_attribute("href")).split("?")[1]) for link in links]
+    linked = {(one["source"][0], one["predicate"][0]) for one in parts}
+    assert linked == emitted & of_source, "a bar that leads to nothing is no link"
     assert made.config.export is not None
     gate = json.loads((made.config.export / "export.json").read_text())["bias"]
     if gate is not None:

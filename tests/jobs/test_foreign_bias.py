@@ -40,3 +40,9 @@ def test_a_leak_gives_exit_code_3_and_names_the_guesser(tmp_path: Path) -> None:
 def test_a_folder_is_judged_alone(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="together with other files"):
         report_bias([tmp_path, written(tmp_path / "few.json", STAY, [True])])
+
+
+def test_a_configuration_is_told_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "run.yaml").write_text("name: run")
+    with pytest.raises(UsageError, match="that is a configuration"):
+        report_bias([tmp_path / "run.yaml"])

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
+from condvln.explorer.rejected import REASONS
 from factory.object_store import ObjectStore
 from factory.snapshot import Snapshot
 from jobs.command import app
@@ -67,6 +68,19 @@ def test_people_read_wide_rows_as_lines_and_ids_as_ids(target: Target) -> None:
     (table,) = narrow.sections
     assert [row[1] for row in table.rows] == [12345, 12345]
     assert [row[0] for row in table.rows] == [str(row[0]) for row in narrow.document["rows"]]
+
+
+def test_a_query_without_rows_says_so(target: Target) -> None:
+    assert query_target(target, "skipped").lines == ["0 rows"]
+    assert query_target(target, "overview").lines == []
+
+
+def test_each_reason_of_rejection_has_its_meaning(target: Target) -> None:
+    found = rows(target, "rejections")
+    assert found
+    assert {(row["stage"], row["reason"]): row["meaning"] for row in found} == {
+        (row["stage"], row["reason"]): REASONS[row["stage"]][row["reason"]] for row in found
+    }
 
 
 def test_leaves_and_conditions_are_the_nested_ones_one_by_one(target: Target, snapshot: Snapshot) -> None:

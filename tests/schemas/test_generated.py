@@ -9,6 +9,7 @@ import pyarrow as pa
 import pytest
 from jsonschema import Draft202012Validator
 
+from condvln.explorer.rejected import REASONS
 from jobs.query import VIEWS
 from schemas.generate import DOCUMENTS, FOLDER, generated_files
 from schemas.tables import ABOUT, QUATERNION, SORT_KEYS, TABLES, VEC3, description
@@ -36,6 +37,14 @@ def test_the_data_page_is_up_to_date() -> None:
     page = part("data")
     assert page.FILE.read_text(encoding="utf-8") == page.data_page(), "run: python docs/site/data.py"
     assert page.VIEWS_FILE.read_text(encoding="utf-8") == page.views_page(), "run: python docs/site/data.py"
+
+
+def test_every_reason_of_rejection_is_explained() -> None:
+    page = part("data").VIEWS_FILE.read_text(encoding="utf-8")
+    assert {*REASONS} == {"programs", "episodes"}
+    for reasons in REASONS.values():
+        for name, meaning in reasons.items():
+            assert f"| `{name}` | {meaning} |" in page
 
 
 @pytest.mark.parametrize("name", VIEWS)
