@@ -55,7 +55,10 @@ def compare(objects: list[SceneObject], floor: float = 0.0) -> Counter[tuple[str
 
     def check(predicate: str, i: int, anchors: Sequence[int], status: int) -> None:
         asked = predicate == "far from"
-        found = decide(predicate, things[i], [things[k] for k in anchors], room, rivals[i], asked)
+        try:
+            found = decide(predicate, things[i], [things[k] for k in anchors], room, rivals[i], asked)
+        except KeyError:
+            pytest.fail(f"condvln/verify/predicates.py does not say when {predicate!r} is true and when it is false")
         assert found.verdict == status, (predicate, things[i], [things[k] for k in anchors], found.numbers)
         tally[predicate, int(status)] += 1
 
