@@ -65,8 +65,7 @@ def make_plan(config: Config, *, every_scene: bool = False) -> Report:
             + ", ".join(f"{store.url}/{path}" for path in found.damaged[:SHOWN_FILES])
             + (" …" if len(found.damaged) > SHOWN_FILES else "")
         )
-    todo = [entry for entry in entries if entry["status"] != "FRESH"]
-    section = _scenes(todo) if every_scene else _groups(todo)
+    section = _scenes(entries) if every_scene else _groups([one for one in entries if one["status"] != "FRESH"])
     return Report(document, lines, [section])
 
 

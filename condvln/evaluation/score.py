@@ -32,12 +32,15 @@ if TYPE_CHECKING:
 from condvln.arrays import F64
 from schemas.program import leaf_truths
 
-__all__ = ["START_TOLERANCE", "Score", "ScoreRules", "Sees", "branch_measures", "score"]
+__all__ = ["START_TOLERANCE", "TOLD_AFTER_STOP", "Score", "ScoreRules", "Sees", "branch_measures", "score"]
 
 START_TOLERANCE: Final = 0.25
 """Largest allowed distance in metres between the path's first point and the episode's start: one forward step. A larger
 one means another episode or another frame.
 """
+
+TOLD_AFTER_STOP: Final = frozenset({"committed_leaf", "leaf_correct", "wrong_branch", "no_commit", "divergence"})
+"""Measures that depend on which leaf is gold or was reached: an environment tells them after STOP only."""
 
 NAN: Final = float("nan")
 Sees = Callable[[Prediction], Sequence[int | None]]

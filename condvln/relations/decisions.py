@@ -1,8 +1,8 @@
 """When a relation holds between two things: as an edge of the graph, as true in text, and as false in text.
 
-The product decides distances and thresholds of pairs of things here alone; the verifier has its own. ``text`` then
-takes back what a person would not say: of parts of one thing, of things that hold each other (``stacking``), of what
-lies in a container, of things that stand together as a group. Between the bounds for true and for false is a dead zone,
+The product decides distances and thresholds of pairs of things here; the verifier has its own. ``text`` then takes back
+what a person would not say: of things that hold each other (``stacking``, by bounds of its own), of what lies in a
+container, of things that stand together as a group. Between the bounds for true and for false is a dead zone,
 in which text says neither. Margins are the distance from the threshold of the graph's edge, as a
 multiple of the distance at which text may use the relation. The facts that compare objects follow: closest to an
 anchor, bigger or smaller of two, between two anchors.

@@ -30,6 +30,12 @@ def test_scenes_of_one_cause_are_one_row(tmp_path: Path) -> None:
     assert len(every.rows) == len(made.scenes) + 1
 
 
+def test_a_fresh_scene_has_a_row_too(made_run: tuple[Config, Report]) -> None:
+    plan = make_plan(made_run[0], every_scene=True)
+    assert [row[1] for row in plan.sections[0].rows] == ["FRESH"] * plan.document["counts"]["FRESH"] != []
+    assert make_plan(made_run[0]).sections[0].rows == []
+
+
 def test_a_line_of_a_report_is_one_line_of_a_log() -> None:
     line = "word " * 100  # longer than any console
     log = io.StringIO()

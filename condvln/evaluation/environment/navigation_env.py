@@ -17,7 +17,7 @@ from condvln.evaluation.goal_distances import Nearness
 from condvln.evaluation.measures import path_length
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.scene_views import SCENES_KEPT, SceneViews
-from condvln.evaluation.score import ScoreRules, score
+from condvln.evaluation.score import TOLD_AFTER_STOP, ScoreRules, score
 from condvln.evaluation.split import Export, open_export
 from condvln.evaluation.task import Task
 from condvln.evaluation.walker import SteppedEpisode
@@ -31,8 +31,6 @@ __all__ = ["NavigationEnv"]
 
 LONGEST_TEXT: Final = 8192
 """Largest length in characters of a text observation; longer ones are cut."""
-TOLD_AFTER_STOP: Final = frozenset({"committed_leaf", "leaf_correct", "wrong_branch", "no_commit", "divergence"})
-"""Measures that depend on which leaf is gold or was reached: they are in ``info`` after STOP only."""
 CHARACTERS: Final = frozenset(map(chr, range(32, 127))) | {"\n", "°"}
 
 Observation = dict[str, Any]

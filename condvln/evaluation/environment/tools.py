@@ -16,7 +16,7 @@ import numpy as np
 
 from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.scene_views import SceneViews
-from condvln.evaluation.score import score
+from condvln.evaluation.score import TOLD_AFTER_STOP, score
 from condvln.evaluation.split import Export, open_export
 from condvln.evaluation.task import Task
 from condvln.evaluation.walker import SteppedEpisode
@@ -200,7 +200,8 @@ class EpisodeTools:
         self.done = walk.stopped or walk.out_of_steps
         if self.done:
             measures = asdict(score(walk.task, walk.prediction(), self._split.export.pathfinder(walk.task)))
-            self.score = {name: None if isnan(value) else value for name, value in measures.items()}
+            told = {name: value for name, value in measures.items() if walk.stopped or name not in TOLD_AFTER_STOP}
+            self.score = {name: None if isnan(value) else value for name, value in told.items()}
             self.reward = float(measures["success"])
 
     def _running(self) -> SteppedEpisode:
