@@ -231,7 +231,6 @@ PAPER: Final[Mapping[str, Mapping[str, Any]]] = {
         "compass_share": 1.0,
         "compass_phrases": 8,
         "purpose": 0.0,
-        "search": 0.0,
         "presence_share": 0.4,
         "usual_places": False,
         "compositions": {"C2": 1.0},
@@ -285,9 +284,10 @@ class SamplingConfig(Section):
     most_odd: int | None = Field(None, ge=0)
     """programs whose parts have less to do with each other than this are not used: 0 takes only those that look for a
     thing where it may be and go there; by default all are, the least odd first"""
-    search: Share = 0.7
+    search: Share = 0.0
     """share of the candidate programs of the categories chain and long_chain that look for one thing in several places,
-    where a room has enough places: “if the book is on the desk, …; otherwise, if the book is on the bed, …”"""
+    where a room has enough places: “if the book is on the desk, …; otherwise, if the book is on the bed, …”. Where
+    things usually are tells a part of the answer then, so that the bias gate may refuse an export"""
     attempts: int = Field(24, ge=1, le=10_000)
     """maximum number of draws of a condition before the candidate is given up"""
     draws_per_candidate: int = Field(20, ge=1, le=10_000)
