@@ -100,7 +100,7 @@ _NOTE: Final = (
     "subgoals (in brackets: how many count), and so may be above SR."
 )
 
-_INTERVALS: Final = "Means with 95 % intervals, scenes drawn with replacement."
+_INTERVALS: Final = "Means with 95 % intervals, scenes drawn with replacement; none if all episodes are of one scene."
 
 
 def main_table(evaluations: Sequence[Evaluation]) -> Table:

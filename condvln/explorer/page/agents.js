@@ -38,7 +38,7 @@
     const cells = order.map(([, n]) => used.map((k) => (keys[k] === "agent" ? named(table.rows[n], table.split) : best(table.rows[n], keys[k]) ? element("b", {}, stacked(table.cells[n][k])) : stacked(table.cells[n][k]))));
     return element("div", { "data-split": table.split },
       element("div", { class: "stacked" }, explorer.table(`${table.title} (${table.split})`, used.map((k) => table.headings[k]), cells, `${table.name}-first`)),
-      table.cells.some((row) => row.some((cell) => cell.includes("["))) ? element("p", { class: "note" }, "Beneath a number: its 95 % interval, scenes drawn with replacement; a row without them comes from one scene. Bold: the best of its block.") : "",
+      table.cells.some((row) => row.some((cell) => cell.includes("["))) ? element("p", { class: "note" }, "Beneath a number: its 95 % interval, scenes drawn with replacement; a row without them comes from one scene. Bold: the best of its block.") : element("p", { class: "note" }, "No intervals: all episodes of a row come from one scene. Bold: the best of its block."),
       element("details", {}, element("summary", {}, "All measures"), whole(table)));
   }
 

@@ -30,12 +30,12 @@
     const rows = index.scenes.map((scene, k) => {
       const name = `${scene.source}/${scene.id}`;
       const made = known ? [count(scene.wanted ?? 0), count(scene.placed ?? 0), (scene.reason || "–").replaceAll("_", " ")] : [];
-      return [link(name, `scene/${encodeURIComponent(name)}`), count(scene.rooms), count(scene.objects), ...made,
+      return [link(name, `scene/${encodeURIComponent(name)}`), known ? count(scene.rooms) : "–", known ? count(scene.objects) : "–", ...made,
         scene.episodes ? link(count(scene.episodes), "browse", { scene: name }) : "0", ...index.agents.map((agent, n) => rate(agent, results[n][k], name))];
     });
     const heads = ["scene", "#rooms", "#objects", ...(known ? ["#wanted", "#placed", "main reason for less"] : []), "#episodes", ...index.agents.map((agent) => `#SR of ${agent.name}`)];
     main.replaceChildren(element("h1", {}, "Scenes"),
-      element("p", { class: "note" }, "Choose a heading to sort. A scene's page says why it has fewer episodes than wanted; a success rate leads to the episodes that failed."),
+      element("p", { class: "note" }, `Choose a heading to sort. ${known ? "A scene's page says why it has fewer episodes than wanted" : "This page was made of an export alone: condvln explore CONFIG adds rooms, objects, and why a scene yields little"}; a success rate leads to the episodes that failed.`),
       element("div", { class: "stacked sorted" }, explorer.sortable(explorer.table("Scenes", heads, rows, "scenes"))));
     return "Scenes";
   };
