@@ -216,7 +216,7 @@ def test_no_absence_is_proven_beside_its_like_or_in_an_incomplete_room(family: s
     tried: Counter[str] = Counter()
     missed = []
     for scene in scenes:
-        sampler = made_sampler(scene, facts_of(scene), priors.bits(scene, 0.05), per_category={"simple": 60})
+        sampler = made_sampler(scene, facts_of(scene), priors.bits(scene, 0.05), per_category={"simple": 100})
         programs: list[Program] = sampler.candidates("simple")
         for one in dict.fromkeys(condition for program in programs for condition in program.conditions):
             assert holds(scene, one), (scene.scene_id, one)
