@@ -7,6 +7,7 @@ where the configuration, the code or a source changed; where none of them did, p
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -172,8 +173,9 @@ def config_of(export: Path, datasets: Mapping[str, Path]) -> Config:
             unknown = [fault["loc"] for fault in error.errors() if fault["type"] == "extra_forbidden"]
             if not unknown:
                 raise config_error(error, export) from None
-        for *above, last in unknown:  # of another release: no rule reads it
+        for *above, last in unknown:
             reduce(getitem, above, data).pop(last)
+            print(f"{export}: a key of another release is not read:", *above, last, file=sys.stderr)
 
 
 @dataclass

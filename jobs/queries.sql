@@ -10,7 +10,7 @@
 -- label: label of the goal
 -- room: label of the room of the goal
 -- n_goals: number of goal points around the goal, at any of which an agent may stop
--- n_subgoals: number of stops in order, of which the goal is not one
+-- n_subgoals: number of stops before the goal
 -- geodesic_distance: metres on the navmesh from the start straight to the goal
 -- route_length: metres on the navmesh from the start by all stops to the goal
 SELECT e.source, e.scene_id, e.episode_id, e.instruction_id, e.category,

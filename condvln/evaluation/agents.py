@@ -114,11 +114,16 @@ def stop_at_start(task: Task, pathfinder: Pathfinder, seed: int) -> Prediction:
 
 
 AGENTS: Final[Mapping[str, Agent]] = {
-    agent.__name__.replace("_", "-"): agent
-    for agent in (
-        *(perfect, looking, oracle, wrong_branch, random_leaf),
-        *(coin_flip, always_then, always_else, nearest, stop_at_start),
-    )
+    "perfect": perfect,
+    "looking": looking,
+    "oracle": oracle,
+    "wrong-branch": wrong_branch,
+    "random-leaf": random_leaf,
+    "coin-flip": coin_flip,
+    "always-then": always_then,
+    "always-else": always_else,
+    "nearest": nearest,
+    "stop-at-start": stop_at_start,
 }
 """The reference agents by the name that ``condvln walk --agent`` takes."""
 

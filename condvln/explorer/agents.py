@@ -19,7 +19,7 @@ from condvln.evaluation.predictions import Prediction
 from condvln.evaluation.render import as_document, written
 from condvln.evaluation.tables import Cell, Column, Table
 from condvln.navigation.protocol import PathfinderProtocol
-from schemas.base import Json as Document
+from schemas.base import Json
 
 __all__ = ["OUTCOMES", "AgentResults", "difference_table", "outcomes", "table_document", "walk_document"]
 
@@ -37,7 +37,7 @@ class AgentResults:
 
     name: str
     split: str
-    episodes: dict[str, tuple[int, Document]]
+    episodes: dict[str, tuple[int, Json]]
 
     @classmethod
     def of(cls, evaluation: Evaluation, split: str) -> AgentResults:
@@ -65,7 +65,7 @@ def outcomes(evaluation: Evaluation) -> NDArray[np.int64]:
 
 def walk_document(
     prediction: Prediction, goals: Sequence[Sequence[float]], pathfinder: PathfinderProtocol | None
-) -> Document:
+) -> Json:
     """Return an agent's walk of one episode.
 
     Parameters

@@ -20,8 +20,7 @@ from condvln.instructions.grammar_source import grammar_source
 from condvln.instructions.language import Language, Slot, language
 from condvln.navigation.follower import FORWARD, LEFT, RIGHT, VLN_CE
 from condvln.scene.rotations import heading_of
-from schemas.base import Json as Document
-from schemas.base import Row
+from schemas.base import Json, Row
 from schemas.program import Program
 
 __all__ = ["UNPUBLISHED", "clauses", "episode_document", "episode_labels"]
@@ -30,7 +29,7 @@ UNPUBLISHED: Final = "not exported"
 """Split of an episode that is in the snapshot and in no split of the export."""
 
 
-def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None) -> Document:
+def episode_document(row: Row, *, facts: SceneFacts | None = None, certificate: Row | None = None) -> Json:
     """Return an episode's document.
 
     Parameters
@@ -93,7 +92,7 @@ def episode_labels(row: Row) -> list[str]:
     return sorted(named)
 
 
-def _leaf(leaf: Row) -> Document:
+def _leaf(leaf: Row) -> Json:
     return {
         "leaf": leaf["leaf"],
         "object": leaf["object_id"],
@@ -105,7 +104,7 @@ def _leaf(leaf: Row) -> Document:
     }
 
 
-def _decisions(row: Row, program: Program, heading: float) -> Document:
+def _decisions(row: Row, program: Program, heading: float) -> Json:
     """Return, by condition of the gold route, where the looking walk decides it: the number of the `frame`, the place
     ``at``, ``walked``, the metres walked until then, and the heading in degrees clockwise from north.
     """
@@ -124,7 +123,7 @@ def _decisions(row: Row, program: Program, heading: float) -> Document:
     return found
 
 
-def _certificate(line: Row) -> Document:
+def _certificate(line: Row) -> Json:
     checked = line.get("checked") or {}
     return {
         "proven": line.get("proven"),

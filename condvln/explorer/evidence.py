@@ -11,8 +11,7 @@ from condvln.explorer.measures import RoomMeasures, bearing_criteria, decided, s
 from condvln.instructions.referents import things_meant
 from condvln.labels import vocabulary
 from condvln.scene import Scene
-from schemas.base import Json as Document
-from schemas.base import Row
+from schemas.base import Json, Row
 from schemas.config import Thresholds
 from schemas.program import BEARINGS, Condition, Qualifier
 
@@ -36,7 +35,7 @@ class SceneFacts:
             if row["kind"] == "canonical":
                 self._pairs[row["subject"], row["target"]] = row
 
-    def of(self, condition: Condition, start: Row, heading: float) -> Document:
+    def of(self, condition: Condition, start: Row, heading: float) -> Json:
         """Return the evidence for a condition as the page shows it.
 
         Parameters
@@ -53,7 +52,7 @@ class SceneFacts:
         things = []
         for name in dict.fromkeys((*condition.witnesses, *here)):
             role = "witness" if name in condition.witnesses else "rival"
-            thing: Document = {"id": name, "role": role}
+            thing: Json = {"id": name, "role": role}
             if condition.qualifier is not None:
                 thing |= self._measured(name, condition.qualifier, start, heading, role == "witness")
             things.append(thing)
@@ -64,7 +63,7 @@ class SceneFacts:
             things = self._elsewhere(condition)
         return {"rule": rule_of(condition.qualifier, self._thresholds), "things": things}
 
-    def _elsewhere(self, condition: Condition) -> list[Document]:
+    def _elsewhere(self, condition: Condition) -> list[Json]:
         """Return the objects with the label in other rooms, the nearest to the condition's room first."""
         room = self._scene.room_of.get(condition.room.room_id)
         outline = (
@@ -86,7 +85,7 @@ class SceneFacts:
             self._meant[key] = things_meant(self._scene, *key, vocabulary) if known else ()
         return self._meant[key]
 
-    def _measured(self, name: str, qualifier: Qualifier, start: Row, heading: float, truth: bool) -> Document:
+    def _measured(self, name: str, qualifier: Qualifier, start: Row, heading: float, truth: bool) -> Json:
         subject = self._scene.object_of.get(name)
         if subject is None:
             return {}
@@ -97,7 +96,7 @@ class SceneFacts:
             place = np.array([start[axis] for axis in "xyz"], dtype=np.float64)
             criteria = bearing_criteria(predicate, place, heading, np.asarray(subject.box), self._thresholds)
             return decided(predicate, [criteria], truth)
-        found: Document = {}
+        found: Json = {}
         surface = None
         for anchor in qualifier.anchor_ids:
             pair = self._pairs.get((name, anchor))
@@ -121,7 +120,7 @@ def rule_of(qualifier: Qualifier | None, thresholds: Thresholds) -> str:
     return str(said_of(qualifier.predicate)["rule"]).format(t=thresholds, way=way)
 
 
-def _margin(thing: Document) -> float:
+def _margin(thing: Json) -> float:
     margin = thing.get("margin")
     return -1.0 if margin is None else float(margin)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from condvln.own_tables import own_text
 from condvln.relations.decisions import (
     DENIED_BY_ALL,
     OF_SOME_PIECE,
@@ -48,7 +48,7 @@ _SHOWN: Final = {"m": (1.0, "m"), "mm": (0.001, "m"), "share": (100.0, "%"), "°
 
 @cache
 def _said() -> dict[str, Any]:
-    known: dict[str, Any] = yaml.safe_load(files("condvln.explorer").joinpath("predicates.yaml").read_text("utf-8"))
+    known: dict[str, Any] = yaml.safe_load(own_text("condvln.explorer", "predicates.yaml"))
     return known
 
 

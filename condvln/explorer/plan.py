@@ -14,7 +14,7 @@ from condvln.episodes.footprint import Footprint
 from condvln.labels import vocabulary
 from condvln.navigation.tile import NavMeshTile
 from condvln.scene import Room, Scene, SceneObject
-from schemas.base import Json as Document
+from schemas.base import Json
 
 __all__ = ["floor_document", "graph_document", "plan_document"]
 
@@ -24,7 +24,7 @@ _DECIMALS: Final = 3
 
 def plan_document(
     scene: Scene, tile: NavMeshTile | None = None, seen: Mapping[str, Mapping[str, Any]] | None = None
-) -> Document:
+) -> Json:
     """Return a scene's plan. Coordinates are metres in Habitat's frame, rounded to 1 mm.
 
     Parameters
@@ -55,7 +55,7 @@ def floor_document(tile: NavMeshTile | None) -> list[list[float]]:
     return found
 
 
-def _room(room: Room) -> Document:
+def _room(room: Room) -> Json:
     return {
         "id": room.room_id,
         "label": room.label,
@@ -65,7 +65,7 @@ def _room(room: Room) -> Document:
     }
 
 
-def _object(item: SceneObject, rooms: Mapping[str, int], seen: Mapping[str, Any]) -> Document:
+def _object(item: SceneObject, rooms: Mapping[str, int], seen: Mapping[str, Any]) -> Json:
     footprint = Footprint.of(item)
     rectangles = [] if footprint is None else [_corners(part) for part in footprint.parts or (footprint,)]
     box = item.box

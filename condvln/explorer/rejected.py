@@ -10,7 +10,7 @@ from condvln.episodes import candidates
 from condvln.instructions import degeneracy
 from condvln.instructions.degeneracy import Claim, Presupposed, clash
 from condvln.labels import vocabulary
-from schemas.base import Json as Document
+from schemas.base import Json
 from schemas.program import Condition, ObjectRef, Program
 
 __all__ = ["REASONS", "clash_examples", "program_example", "rule_text"]
@@ -33,7 +33,7 @@ def rule_text(stage: str, reason: str) -> str:
     return REASONS.get(stage, {}).get(reason, "")
 
 
-def program_example(program: Program) -> Document:
+def program_example(program: Program) -> Json:
     """Return a rejected candidate in words, ``example``, and the ids of its goals and stops, ``objects``."""
     asked = ", ".join(_condition(one) for one in program.conditions)
     leaves = "; ".join(
@@ -43,7 +43,7 @@ def program_example(program: Program) -> Document:
     return {"example": f"{program.category}: asks for {asked}; {leaves}", "objects": [*objects]}
 
 
-def clash_examples(programs: Mapping[str, Program], reasons: Collection[str]) -> dict[str, Document]:
+def clash_examples(programs: Mapping[str, Program], reasons: Collection[str]) -> dict[str, Json]:
     """Return, by reason, a condition that can be asked in the scene and that the rule rejects in one of its programs.
 
     The sampler counts its own draws and keeps none. So each condition that some program of the scene asks is tried in
@@ -54,7 +54,7 @@ def clash_examples(programs: Mapping[str, Program], reasons: Collection[str]) ->
     programs : candidates of one scene by id
     reasons : those of which an example is wanted; reasons that are no such rule have none
     """
-    found: dict[str, Document] = {}
+    found: dict[str, Json] = {}
     wanted = CLASHES & set(reasons)
     ordered = [programs[name] for name in sorted(programs, key=lambda name: (_length(programs[name]), name))]
     asked = dict.fromkeys(_bare(one) for program in ordered for one in program.conditions)
@@ -71,7 +71,7 @@ def clash_examples(programs: Mapping[str, Program], reasons: Collection[str]) ->
     return found
 
 
-def _clash(condition: Condition, others: Sequence[Condition], stops: Sequence[ObjectRef]) -> Document:
+def _clash(condition: Condition, others: Sequence[Condition], stops: Sequence[ObjectRef]) -> Json:
     beside = [f"stops {', '.join(dict.fromkeys(_stop(stop) for stop in stops))}"]
     beside += [f"conditions {', '.join(_condition(one) for one in others)}"] if others else []
     anchors = condition.qualifier.anchor_ids if condition.qualifier is not None else ()

@@ -23,7 +23,7 @@ from condvln.evaluation.metrics import metrics_of
 from condvln.explorer.agents import OUTCOMES, AgentResults
 from condvln.explorer.episode import episode_labels
 from condvln.formats.streams import write_file
-from schemas.base import Json as Document
+from schemas.base import Json
 from schemas.errors import UsageError
 
 __all__ = ["NAMED", "NUMBERS", "PAGE", "Columns", "Site", "chunk_bytes"]
@@ -68,7 +68,7 @@ class Site:
             shutil.rmtree(out / folder, ignore_errors=True)
         (out / DATA).mkdir(parents=True, exist_ok=True)
         self._columns = Columns()
-        self._scenes: list[Document] = []
+        self._scenes: list[Json] = []
         self._chunks: list[int] = []
         self._texts: list[str] = []
         self._text_chunks = 0
@@ -78,12 +78,12 @@ class Site:
         source: str,
         scene_id: str,
         rows: Sequence[Mapping[str, Any]],
-        documents: Iterable[Document],
+        documents: Iterable[Json],
         *,
-        plan: Document,
-        graph: Document | None = None,
-        made: Document | None = None,
-        walks: Mapping[str, Document] | None = None,
+        plan: Json,
+        graph: Json | None = None,
+        made: Json | None = None,
+        walks: Mapping[str, Json] | None = None,
     ) -> None:
         """Add a scene with its episodes.
 
@@ -109,7 +109,7 @@ class Site:
         self._write(f"scene-{number}", {"source": source, "id": scene_id, **plan, "made": made})
         if graph is not None:
             self._write(f"graph-{number}", graph)
-        chunk: list[Document] = []
+        chunk: list[Json] = []
         for row, document in zip(rows, documents, strict=True):
             if not chunk:
                 self._chunks.append(len(self._columns))
@@ -135,9 +135,9 @@ class Site:
         title: str,
         *,
         snapshot: str = "",
-        statistics: Document | None = None,
+        statistics: Json | None = None,
         agents: Sequence[AgentResults] = (),
-        tables: Sequence[Document] = (),
+        tables: Sequence[Json] = (),
     ) -> Path:
         """Write the data that cover all scenes, then the page itself. Return the path of the page."""
         self._write_texts()
@@ -161,7 +161,7 @@ class Site:
             write_file(self.out / (PAGE if name == "page.html" else name), _PAGE_FILES.joinpath(name).read_bytes())
         return self.out / PAGE
 
-    def _episodes(self, documents: list[Document], walks: Mapping[str, Document]) -> None:
+    def _episodes(self, documents: list[Json], walks: Mapping[str, Json]) -> None:
         number = len(self._chunks) - 1
         self._write(f"episodes-{number}", documents)
         self._write(f"walks-{number}", {one["id"]: walks[one["id"]] for one in documents if one["id"] in walks})
@@ -209,7 +209,7 @@ def _by_name(agents: Sequence[AgentResults]) -> dict[str, list[AgentResults]]:
     return found
 
 
-def _agent(agent: str, results: Sequence[AgentResults], ids: Sequence[str]) -> Document:
+def _agent(agent: str, results: Sequence[AgentResults], ids: Sequence[str]) -> Json:
     episodes = {name: row for one in results for name, row in one.episodes.items()}
     found = [episodes.get(name) for name in ids]
     measures = [*next((scores for _, scores in episodes.values()), {})]

@@ -1,8 +1,8 @@
 """Write an export as one file that repeats byte for byte, and read it again as if it were hostile.
 
 A pack is a tar archive in zstd. Its first member is the index (`schemas.benchmark.BenchmarkPack`); the export's files
-follow in the index's order, each content once. ``.gz`` files stand there without their compression, since what they
-share is then found, and are compressed again when they are unpacked.
+follow in the index's order; equal contents are stored once. ``.gz`` files are stored decompressed, so that zstd finds
+what they have in common, and are compressed again when they are unpacked.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _REMEDY: Final = "Download the pack again, from where it is published"
 def packed_files(export: Path, licensed: Iterable[str]) -> list[PackedFile]:
     """Return the export's own files and its certificates, in the order of the pack: what resembles each other is near.
 
-    The folder's history is no part of it.
+    The export's changelog is left out: it tells of the folder, not of the episodes.
 
     licensed : families whose built navmeshes are left out
     """

@@ -291,22 +291,20 @@ class CellDrawing:
         excluded = self._conditions.excluded_by(
             (name.ref for leaf in named for name in leaf), rooms.values(), search=self._search
         )
-        places: list[AskedStatement] | None = []
+        named_rooms, places = [*rooms.values()], list[AskedStatement]()
         if self._search:
-            places = self._conditions.look_for_one(len(truths), self._gold, [*rooms.values()], excluded, draws)
-        others = None
-        if places is not None:
-            others = self._conditions.draw(
-                truths[len(places) :],
-                [*rooms.values()],
-                excluded,
-                draws,
-                luck=luck,
-                start_room=start_room,
-                bearings=bearings,
-                compass=compass,
-            )
-        if places is None or others is None:
+            places = self._conditions.look_for_one(len(truths), self._gold, named_rooms, excluded, draws)
+        others = self._conditions.draw(
+            truths[len(places) :],
+            named_rooms,
+            excluded,
+            draws,
+            luck=luck,
+            start_room=start_room,
+            bearings=bearings,
+            compass=compass,
+        )
+        if others is None or (self._search and not places):
             rejected.update(rule for rule, statements in excluded.by_rule.items() if statements)
             raise GivenUp("no_condition")
         return _Drawn(rooms, start_room, held, named, (bearings, compass), [*places, *others])

@@ -347,16 +347,16 @@ class ConditionSampler:
 
     def look_for_one(
         self, most: int, gold: int, rooms: Sequence[RoomRef], excluded: RuledOut, draws: Draws
-    ) -> list[AskedStatement] | None:
+    ) -> list[AskedStatement]:
         """Return statements about one thing of `rooms` at different places, two at least and `most` at most, of which
-        the one with number `gold` alone is true; none of them, if there is no such number. None if the draw fails.
+        the one with number `gold` alone is true; none of them, if there is no such number. Empty if the draw fails.
 
         excluded : what the text excludes; what the statements exclude is added
         """
         asked, gone = {room.room_id: room for room in rooms}, excluded.union
         things = [thing for room_id in asked for thing in self._things.get(room_id, ()) if not thing.numbers & gone]
         if not things:
-            return None
+            return []
         thing = draws.weighted(things, [thing.mass for thing in things])
         found, chosen = list[AskedStatement](), list[_Place]()
         for k in range(min(most, thing.most)):
@@ -366,7 +366,7 @@ class ConditionSampler:
                 if not excluded.union >> number & 1 and thing.is_apart(place, chosen)
             }
             if not left:
-                return None
+                return []
             number = draws.weighted([*left], [place.weight for place in left.values()])
             claim = self.conflicts.statements[number]
             excluded.add(claim)

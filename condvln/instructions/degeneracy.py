@@ -139,10 +139,10 @@ class Presupposed:
 
 
 def searches(category: Category) -> bool:
-    """Return whether each condition of a category but the first is asked only if those before it fail, so that they may
-    look for one thing in several places.
+    """Return whether a category has several conditions, each asked only if those before it fail, so that they may look
+    for one thing in several places.
     """
-    return SHAPES[category].depth == 1
+    return SHAPES[category].depth == 1 < SHAPES[category].chain
 
 
 def clash(
@@ -173,9 +173,7 @@ def clash(
                 return "given_away"
     same_room = [other for other in others if other.room_id == claim.room_id]
     unlike = [other for other in others if not (search and claim.goes_on_from(other, vocabulary))]
-    for other in unlike:
-        if other.room_id != claim.room_id:
-            continue
+    for other in (one for one in unlike if one.room_id == claim.room_id):
         if other.label in words:
             return "implied"
         # "a lamp near the bed" presupposes the bed.

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from importlib.resources import files
 from itertools import pairwise, product
 from typing import Final
 
 from condvln.instructions.language import Language, Slot
+from condvln.own_tables import own_text
 from schemas.program import CATEGORIES, anchors_of
 
 __all__ = ["ANSWERS", "grammar_source", "rule_of"]
@@ -100,7 +100,7 @@ class _GrammarWriter:
             **{slot: self._either(slot) for slot in ("exists", "absent", "is")},
             **{word: " | ".join(self._answering(word)) for word in ("yes", "no")},
         }
-        text = files("condvln.instructions").joinpath("grammar", "rules.lark").read_text(encoding="utf-8")
+        text = own_text("condvln.instructions", "grammar/rules.lark")
         found = []
         for line in text.splitlines():
             kind, name, rule = _LINE.fullmatch(line).groups()  # type: ignore[union-attr]  # it matches any line

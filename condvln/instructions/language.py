@@ -7,13 +7,11 @@ data loaded here, so they can't diverge.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from importlib.resources import files
 from itertools import accumulate, pairwise
 from typing import Any, Final, Literal
 
@@ -21,6 +19,7 @@ import yaml
 
 from condvln.instructions.predicates import PREDICATES
 from condvln.labels import vocabulary
+from condvln.own_tables import own_rows, own_text
 from schemas.program import BEARINGS, CATEGORIES, SHAPES, SUPERLATIVES, Category, Predicate
 
 __all__ = [
@@ -337,7 +336,7 @@ def language(code: str = "en") -> Language:
 
 
 def _document(code: str) -> Mapping[str, Any]:
-    text = files("condvln.instructions").joinpath("grammar", f"{code}.yaml").read_text(encoding="utf-8")
+    text = own_text("condvln.instructions", f"grammar/{code}.yaml")
     document: Mapping[str, Any] = yaml.load(text, Loader=yaml.CSafeLoader)
     return document
 
@@ -380,8 +379,8 @@ def _rooms(code: str) -> dict[str, Noun]:
 
 
 def _named(table: str) -> dict[str, Noun]:
-    text = files("condvln.instructions").joinpath("grammar", table).read_text(encoding="utf-8")
-    return {row["label"]: Noun(row["noun"], row["class"]) for row in csv.DictReader(text.splitlines())}
+    rows = own_rows("condvln.instructions", f"grammar/{table}")
+    return {row["label"]: Noun(row["noun"], row["class"]) for row in rows}
 
 
 def _predicate(document: Mapping[str, Any], predicate: str) -> tuple[str, ...]:

@@ -65,13 +65,13 @@ def oddness(program: Program) -> int:
     """Return how little the parts of a program have to do with each other, by ``affinity.csv``; 0 is best.
 
     Where a relation holds, one goes to its anchor (0); else to a place where what is asked about may lie (0). Any other
-    goal counts 1 if what is asked about serves a purpose there, 2 if both serve one, and 3 if they serve none or if one
-    is sent away from where it is or to where it is not; a goal outside the room in which something is 1 more. Each stop
-    before a goal counts 1, and 1 more if it serves no purpose with it.
+    goal counts 1 if the thing is used there, 2 if it is used together with the goal, and 3 if neither, or if one is
+    sent away from where the thing is or to where it is not. Where a room holds the thing, a goal in another room counts
+    1 more. Each stop before a goal counts 1, and 1 more if nobody uses both together.
 
-    A condition counts 2 if nobody would look for what it is about, which is no portable thing; 1 if it asks what is
-    near, 2 if it asks for any other relation but on and in, and 2 if the thing serves no purpose at the anchor. Each
-    after the first counts 1 if it serves no purpose with one before it, and 1 if it is about another room.
+    A condition counts 2 if it is about what nobody carries about (role portable) and so would look for; 1 if it asks
+    what is near, 2 if it asks for any relation but near, on and in; and 2 if the thing is not used at the anchor. Each
+    after the first counts 1 if its thing is used with none asked about before, and 1 if it is about another room.
     """
     found = 0
     for branch in program.branches:

@@ -307,7 +307,7 @@ class ProgramSampler:
             compass_phrases=self.sampling.compass_phrases,
             purpose=self.sampling.purpose,
             most_odd=self.sampling.most_odd,
-            search=self.sampling.search if searches(cell.category) and len(SHAPES[cell.category].branches) > 1 else 0.0,
+            search=self.sampling.search if searches(cell.category) else 0.0,
         )
 
     def leads_of(self, cell: InstructionCell) -> float:

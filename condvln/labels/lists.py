@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from condvln.labels.lexicon import Vocabulary
+from condvln.own_tables import own_rows
 
 __all__ = [
     "LEAST_WORTH",
@@ -42,8 +41,7 @@ Role = Literal[
 
 @cache
 def _rows(name: str) -> tuple[Mapping[str, str], ...]:
-    text = files("condvln.labels").joinpath(f"{name}.csv").read_text(encoding="utf-8")
-    return tuple(csv.DictReader(text.splitlines()))
+    return tuple(own_rows("condvln.labels", f"{name}.csv"))
 
 
 @cache

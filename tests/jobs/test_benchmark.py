@@ -251,7 +251,7 @@ def test_missing_scenes_are_named(packed: Packed, tmp_path: Path) -> None:
     assert {row["agent"] for row in board.document["rows"]} == {*REFERENCES}
     assert any("no row looker" in line for line in board.lines)
     seen = board.document["rows"][0]["measures"]["justified"]["n"]
-    assert 0 < seen < board.document["rows"][0]["episodes"], "what was seen is told of the scenes that are there"
+    assert 0 < seen < board.document["rows"][0]["episodes"], "justified is known where the scene is"
     for text, what in (("hssd=x", "has no scenes of hssd"), ("replicacad=/no", "no such folder"), ("x", "not FAMILY")):
         with pytest.raises(UsageError, match=what):
             unpack_benchmark(packed.pack, tmp_path / "other", [text])
@@ -290,7 +290,9 @@ def test_a_later_release_scores_and_proves_the_same(
     assert files_of(out) == files_of(packed.export), "the certificates are the same too"
 
 
-def test_an_export_with_keys_of_another_release_is_proven_and_scored(packed: Packed, tmp_path: Path) -> None:
+def test_an_export_with_keys_of_another_release_is_proven_and_scored(
+    packed: Packed, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     unpack_benchmark(packed.pack, out, packed.scenes())
     origin = json.loads((out / "origin.json").read_text())
@@ -298,6 +300,7 @@ def test_an_export_with_keys_of_another_release_is_proven_and_scored(packed: Pac
     origin["digest"] = document_digest(origin)
     (out / "origin.json").write_text(json.dumps(origin))
     assert prove_benchmark(out).exit_code == 0
+    assert "a key of another release is not read: sampling former_key" in capfd.readouterr().err
     score_benchmark(out, "val_unseen", [], references=False, scenes=packed.scenes("replicacad"))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import pytest
 
 from condvln.instructions import LabelPriors
 from condvln.instructions.parsing import parse
+from condvln.instructions.programs import oddness
 from condvln.instructions.rendering import render
 from condvln.relations import TextFacts
 from condvln.scene import Room, Scene, SceneObject
@@ -35,14 +36,16 @@ def flat(where: str, *, near: bool = False) -> Scene:
     return Scene(family="procthor", scene_id=where, root=Path("."), rooms=(room,), objects=tuple(things))
 
 
-def drawn(scene: Scene, facts: Mapping[str, TextFacts], category: Category, search: float) -> list[Program]:
+def drawn(
+    scene: Scene, facts: Mapping[str, TextFacts], category: Category, search: float, most_odd: int | None = None
+) -> list[Program]:
     homes = [
         replace(flat(where), scene_id=f"{where} {k}")
         for where in ("desk", "bed", "coffee table", "sofa")
         for k in range(6)
     ]
     corpus = LabelPriors.merged(LabelPriors.of_scene(home, Thresholds(), 0.3) for home in homes)
-    sampling = SamplingConfig(search=search, candidates_per_episode=6, moves_drawn=(1.0, 0.0, 0.0))
+    sampling = SamplingConfig(search=search, most_odd=most_odd, candidates_per_episode=6, moves_drawn=(1.0, 0.0, 0.0))
     sampler = made_sampler(
         scene, facts, corpus.bits(scene, 0.05), sampling=sampling, per_category={category: 8}, label_cap=1.0
     )
@@ -89,3 +92,12 @@ def test_places_at_one_spot_are_not_looked_through(facts_maker) -> None:
 def test_none_is_looked_for_if_none_is_wanted(facts_maker) -> None:
     scene = flat("desk")
     assert not any(map(searches, drawn(scene, facts_maker(scene), "chain", 0.0)))
+
+
+@pytest.mark.parametrize("most", [0, 3])
+def test_odd_programs_are_left_out(facts_maker: Callable[[Scene], dict[str, TextFacts]], most: int) -> None:
+    scene = flat("desk")
+    odd = [oddness(program) for program in drawn(scene, facts_maker(scene), "simple", 0.0)]
+    assert max(odd) > 3
+    kept = [oddness(program) for program in drawn(scene, facts_maker(scene), "simple", 0.0, most)]
+    assert max(kept) == most
