@@ -26,10 +26,14 @@ def thing(name: str, x: float, z: float, low: float, high: float, half: float) -
     return SceneObject(name, "r", name, name, box.mean(axis=0), aabb=box)
 
 
-def flat(where: str, *, near: bool = False) -> Scene:
-    """A bedroom with four places, 4 m from one another, or 0.1 m if they are `near`; the book is on one of them."""
+def flat(where: str, *, near: bool = False, beside: bool = False) -> Scene:
+    """A bedroom with four places, 4 m from one another, or 0.1 m if they are `near`; the book is on one of them.
+    `beside`: the sofa is 0.1 m from the bed, and all else as without.
+    """
     step, half = (0.7, 0.3) if near else (5.0, 0.6)
     places = {"desk": (0.0, 0.0), "bed": (step, 0.0), "coffee table": (0.0, step), "sofa": (step, step)}
+    if beside:
+        places["sofa"] = (step, 1.3)
     things = [thing(name, x, z, 0.0, 0.6, half) for name, (x, z) in places.items()]
     things += [thing("book", *places[where], 0.6, 0.65, 0.15), thing("floor lamp", 2 * step, 0.0, 0.0, 1.6, 0.2)]
     room = Room("r", "bedroom", "bedroom", 0, 0.0, 2.5, None, "dataset", True)
@@ -87,6 +91,14 @@ def test_one_thing_is_looked_for_in_places_where_one_can_be_sent(facts_maker, ca
 def test_places_at_one_spot_are_not_looked_through(facts_maker) -> None:
     scene = flat("desk", near=True)
     assert not any(map(searches, drawn(scene, facts_maker(scene), "chain", 1.0)))
+
+
+def test_no_two_places_at_one_spot_are_asked_about(facts_maker: Callable[[Scene], dict[str, TextFacts]]) -> None:
+    scene = flat("desk", beside=True)
+    asked = [frozenset(places_of(program)) for program in drawn(scene, facts_maker(scene), "chain", 1.0)]
+    assert {"bed", "sofa"} <= frozenset.union(*asked)
+    assert frozenset(("bed", "sofa")) not in asked
+    assert len(asked) > 10
 
 
 def test_none_is_looked_for_if_none_is_wanted(facts_maker) -> None:
