@@ -16,7 +16,8 @@ from jobs.configuration import load_config
 from jobs.generate import run_generate
 from tests.ending import kill_driver
 
-SCENES = 3
+# Workers of Ray end what they have at hand after the driver is gone, so most scenes must still be waiting then.
+SCENES = {"inline": 3, "ray": 12}
 
 
 def written(folder: Path, root: Path, name: str) -> Path:
@@ -40,7 +41,8 @@ def committed(folder: Path, name: str) -> int:
     "way", [pytest.param("inline"), pytest.param("ray", marks=[pytest.mark.ray, pytest.mark.soak])]
 )
 def test_killed_driver(way: str, tmp_path: Path) -> None:
-    make_samples(tmp_path / "data", family="replicacad", scenes=SCENES, seed=11)
+    scenes = SCENES[way]
+    make_samples(tmp_path / "data", family="replicacad", scenes=scenes, seed=11)
     clean = run_generate(load_config(written(tmp_path, tmp_path / "data", "clean"), environment={}), inline=True)
     assert clean.exit_code == 0
     path = written(tmp_path, tmp_path / "data", "killed")
@@ -53,15 +55,15 @@ def test_killed_driver(way: str, tmp_path: Path) -> None:
             time.sleep(0.005)
         kill_driver(driver)
     before = committed(tmp_path, "killed")
-    assert 1 <= before < SCENES, "the kill came in time"
+    assert 1 <= before < scenes, "the kill came in time"
     assert not (tmp_path / "killed-store" / "refs").exists() or not list((tmp_path / "killed-store" / "refs").iterdir())
     # What is committed is there for any tool, although nothing is published.
     tables = tmp_path / "killed-store" / "units" / "**" / "relations.parquet"
     (row,) = duckdb.sql(f"SELECT count(*), count(DISTINCT scene_id) FROM '{tables}'").fetchall()
     assert row[0] > 0
-    assert 1 <= row[1] <= SCENES
+    assert 1 <= row[1] <= scenes
     again = run_generate(load_config(path, environment={}), inline=True)
     assert again.exit_code == 0
     assert again.document["snapshot_id"] == clean.document["snapshot_id"]
-    assert again.document["stages"]["text"] == SCENES - before, "only what was not committed is redone"
+    assert again.document["stages"]["text"] == scenes - before, "only what was not committed is redone"
     assert again.document["counts"]["reused"] >= before
