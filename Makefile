@@ -7,7 +7,7 @@ WORKERS ?= 2
 # the seed of soak's examples: another number for each release; fresh: new ones in each run
 DRAWS  ?= 20261122
 
-.PHONY: help setup demo test soak agents browser lint bench docs
+.PHONY: help setup demo test soak agents browser lint bench docs dist
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -66,3 +66,8 @@ bench: $(VENV)/.ready  ## side-by-side measurements, ratios in one run
 docs: $(VENV)/.ready  ## the documentation site, built strictly and offline into out/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open out/site/index.html"
+
+dist: $(VENV)/.ready  ## the wheel and the source archive, in dist/
+	rm -rf build
+	$(BIN)/python -m build --outdir dist
+	rm -rf build

@@ -28,7 +28,7 @@ from condvln.instructions import (
     LabelPriors,
     instruction_table,
 )
-from condvln.instructions.programs import composition, program_tree
+from condvln.instructions.programs import program_tree
 from condvln.instructions.referents import Referents
 from condvln.labels import vocabulary
 from condvln.manifest import manifest_row, published_row
@@ -247,8 +247,7 @@ class World:
         scene = self.scene
         assert scene.navmesh is not None
         programs = {episode.instruction_id: episode.program for episode in pool.episodes}
-        compositions = {name: composition(program) for name, program in programs.items()}
-        placements = placements_table(scene, pool, compositions, scene.navmesh.sha256)
+        placements = placements_table(scene, pool, scene.navmesh.sha256)
         _, texts = published_texts(programs, placements.to_pylist(), text, wording, seed)
         instruction_of = {
             row["instruction_id"]: row for row in rows_of(instruction_table(scene.scene_id, programs.items()))

@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
@@ -54,7 +55,7 @@ from schemas.benchmark import BenchmarkPack, PackedInput, PackedSource
 from schemas.config import Config, Family
 from schemas.errors import FormatError, InputError, MissingFileError, ProofError, UsageError
 
-__all__ = ["pack_benchmark", "prove_benchmark", "read_record", "unpack_benchmark"]
+__all__ = ["pack_benchmark", "pack_file", "prove_benchmark", "read_record", "unpack_benchmark"]
 
 _OF_EXPORT = "Name the folder of an export, or a configuration."
 
@@ -201,8 +202,16 @@ def _is_proven(export: Path) -> bool:
     return agreed and not stale_proofs(export, file_hashes(export))
 
 
+def pack_file(pack: Path) -> Path:
+    """Return `pack`, or the pack of that name that comes with this package if there is no such file."""
+    own = Path(str(files("condvln").joinpath("packs", f"{pack.name}.tar.zst")))
+    return own if not pack.is_file() and pack.parent == Path() and own.is_file() else pack
+
+
 def unpack_benchmark(pack: Path, out: Path, scenes: Sequence[str] = ()) -> Report:
     """Write the export of a pack, and find its scenes in the folders ``FAMILY=DIR`` of `scenes`, by content.
+
+    pack : a file, or the name of a pack that comes with this package, such as condvln-1
 
     The exit code is 3 if a scene of these families is missing or differs; it is named, and the others can be used.
 
@@ -211,7 +220,7 @@ def unpack_benchmark(pack: Path, out: Path, scenes: Sequence[str] = ()) -> Repor
     FormatError : the pack is broken or hostile; nothing is written then
     UsageError : a text of `scenes` is not of that form, or the benchmark has no such family
     """
-    with alone_in(out), open_pack(pack) as packed:
+    with alone_in(out), open_pack(pack_file(pack)) as packed:
         record = packed.index
         roots = _roots(record, scenes)
         with staged(out) as new:
@@ -289,7 +298,7 @@ def _found_report(record: BenchmarkPack, found: Mapping[str, FoundScenes]) -> Re
 
 
 def prove_benchmark(target: Path, scenes: Sequence[str] = (), *, workers: int | None = None) -> Report:
-    """Prove a pack, or the export unpacked from it, with this release's verifier.
+    """Prove a pack (see `unpack_benchmark`), or the export unpacked from it, with this release's verifier.
 
     scenes : ``FAMILY=DIR`` of each dataset; for a folder, those noted when it was unpacked if none is given
 

@@ -27,6 +27,8 @@ class ManifestEpisode(VersionedDocument):
     depth: int
     chain: int
     composition: Composition
+    oddness: int | None = None
+    """how little the parts of the instruction have to do with each other, see `sampling.most_odd`"""
     observability: Observability | None = None
     evidence_in_view: bool | None = None
     observability_approximate: bool | None = None

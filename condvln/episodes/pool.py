@@ -18,7 +18,7 @@ from condvln.episodes.identity import colliding, content_hash, numeric_id
 from condvln.episodes.looking import LookingPath, LookingPaths
 from condvln.episodes.observability import FIRST_VIEW, Observation, Observer
 from condvln.episodes.placing import Fit, Outlook, Placement, Placer, Rejected, Routes
-from condvln.instructions.programs import oddness, truths_sent_to
+from condvln.instructions.programs import excess_of_sent, oddness
 from schemas.config import InstructionCell
 from schemas.config.constants import DRAWN_PER_PLACE, FEW_LABELS_SLACK, KEPT_AT_LEAST, MOVES_OFF
 from schemas.program import SHAPES, Category, Program
@@ -87,9 +87,10 @@ PASSING: Final = frozenset({"quota_full", "gold_leaf_full", "truth_full", "label
 """Rejection reasons that may no longer apply after other episodes are dropped."""
 
 
-SENT_OFF: Final = 1
-"""By how many more relations may be true than false, or the other way, to whose anchor a scene's episodes send one:
-placing finds the false ones more often, where something small is on what is the goal.
+SENT_OFF: Final = 0.75
+"""By how many more of the relations to whose anchor a scene's episodes send one may be true than by chance, or fewer
+(as much as a single one in a chain of four leaves): placing finds the false ones more often, where something small is
+on what is the goal.
 """
 
 MoveShares: TypeAlias = Callable[[Category], tuple[Sequence[float], Sequence[float]]]
@@ -228,10 +229,9 @@ class _Try:
         return oddness(self.members[0].program)
 
     @cached_property
-    def sent(self) -> int:
-        """Number of true less number of false relations of the first of them to whose anchor one is sent."""
-        truths = truths_sent_to(self.members[0].program)
-        return 2 * sum(truths) - len(truths)
+    def sent(self) -> float:
+        """How many more of the relations of the first of them to whose anchor one is sent are true than by chance."""
+        return excess_of_sent(self.members[0].program)
 
     @cached_property
     def has_leads(self) -> bool:
@@ -304,7 +304,7 @@ class _Filling:
         self._led: Counter[InstructionCell] = Counter()
         self._labels: Counter[str] = Counter()
         self._seen: set[Program] = set()
-        self._changes = self._sent = 0
+        self._changes, self._sent = 0, 0.0
 
     def fill(self, most_of_label: Callable[[_Try], int]) -> int:
         """Place groups, then candidates of each cell, and return how many were placed. `most_of_label` is how many

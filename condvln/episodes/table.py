@@ -14,6 +14,7 @@ from condvln.episodes.looking import LookingPath
 from condvln.episodes.observability import Observation
 from condvln.episodes.placing import PlacedLeaf, heading_degrees, yaw_quaternion
 from condvln.episodes.pool import EpisodePool, PooledEpisode
+from condvln.instructions.programs import composition, oddness
 from condvln.scene import Room, Scene, round_mm
 from schemas.base import Json as Row
 from schemas.config import InstructionCell, StepBudget
@@ -40,14 +41,11 @@ PLACEMENTS: Final = pa.schema([f for f in EPISODES if f.name not in TEXT_COLUMNS
 """Schema of the episodes table without the columns that `with_text` adds."""
 
 
-def placements_table(scene: Scene, pool: EpisodePool, compositions: Mapping[str, str], navmesh_sha256: str) -> pa.Table:
-    """Return the pool's episodes in a scene as PLACEMENTS rows. `compositions` has the composition of each instruction,
-    by instruction id.
-    """
+def placements_table(scene: Scene, pool: EpisodePool, navmesh_sha256: str) -> pa.Table:
+    """Return the pool's episodes in a scene as PLACEMENTS rows."""
     rows = [
         {
             "scene_id": scene.scene_id,
-            "composition": compositions[episode.instruction_id],
             "navmesh_sha256": navmesh_sha256,
             **_placement(scene, episode),
             **_seen(episode.observation),
@@ -70,6 +68,8 @@ def _placement(scene: Scene, episode: PooledEpisode) -> Row:
         "instruction_id": episode.instruction_id,
         "group_id": episode.candidate.group_id,
         "category": program.category,
+        "composition": composition(program),
+        "oddness": oddness(program),
         "gold_leaf": gold,
         "n_leaves": len(program.leaves),
         "gold_label": stated.goal.label,

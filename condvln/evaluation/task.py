@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from condvln.arrays import F64
-from condvln.export.splits import SHAPE_AXES, observability_class, route_class, words_class
+from condvln.export.splits import SHAPE_AXES, observability_class, oddness_class, route_class, words_class
 from condvln.formats.json_entries import entries, parsed
 from condvln.manifest import read_manifest
 from condvln.navigation.points import densify
@@ -139,6 +139,7 @@ def task_of(row: ManifestEpisode, locations: F64 | None = None, looking: F64 | N
     axes = {axis: getattr(row, axis, None) for axis in AXES} | {
         "scene": f"{row.source}/{row.scene_id}",
         "observability": observability_class(row.observability, row.evidence_in_view),
+        "oddness": oddness_class(row.oddness),
         "route": route_class(row.route_length),
         "words": words_class(row.words),
     }

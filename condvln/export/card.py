@@ -110,6 +110,7 @@ def _counts(report: ExportReport) -> str:
             counts = [report.shapes.get(split, {}).get(axis, {}).get(value, 0) for split in splits]
             lines.append(_row([f"{axis.replace('_', ' ')}: {value}", *(f"{count:,}" for count in counts)]))
     lines += ["", f"Observability: {'; '.join(f'{name}: {what}' for name, what in OBSERVED.items())}."]
+    lines += ["", "Oddness: how little the parts of an instruction have to do with each other; 0 for an errand."]
     if report.empty_splits:
         lines += ["", *(f"* `{split}` is empty: {why}." for split, why in report.empty_splits.items())]
     if report.r2r_episodes:

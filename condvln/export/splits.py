@@ -34,13 +34,14 @@ __all__ = [
     "fractions",
     "hash_fraction",
     "observability_class",
+    "oddness_class",
     "route_class",
     "scene_group",
     "words_class",
 ]
 
 SHAPE_AXES: Final = (
-    *("category", "depth", "chain", "composition", "observability", "moves", "leads", "route", "words"),
+    *("category", "depth", "chain", "composition", "oddness", "observability", "moves", "leads", "route", "words"),
 )
 """What episodes are counted and scored by, besides their scene."""
 
@@ -49,6 +50,9 @@ ROUTE_BOUNDS: Final = (5, 10, 20)
 
 WORD_BOUNDS: Final = (40, 80, 120)
 """Numbers of words at which the next class begins."""
+
+ODDNESS_BOUNDS: Final = (1, 3, 6, 11)
+"""Oddness at which the next class begins; the first class is 0 alone."""
 
 OBSERVED: Final = {
     "O0f": "all evidence is in the first view",
@@ -71,6 +75,11 @@ def route_class(route_length: float) -> str:
     return f"{_between(route_length, ROUTE_BOUNDS, 2)} m"
 
 
+def oddness_class(oddness: int | None) -> str | None:
+    """Return the class of an instruction's oddness, such as ``01–02``; sorting classes as text keeps their order."""
+    return None if oddness is None else _between(oddness, ODDNESS_BOUNDS, 2, last=1)
+
+
 def words_class(words: int) -> str:
     """Return the class of a text's number of words, such as ``040–079``; sorting classes as text keeps their order."""
     return _between(words, WORD_BOUNDS, 3, last=1)
@@ -83,8 +92,8 @@ def _between(value: float, bounds: tuple[int, ...], digits: int, last: int = 0) 
 @cache
 def _classes(bounds: tuple[int, ...], digits: int, last: int) -> list[str]:
     """Return the names of all classes that begin at 0 and at `bounds`."""
-    named = [f"{low:0{digits}}–{high - last:0{digits}}" for low, high in pairwise((0, *bounds))]
-    return [*named, f"{bounds[-1]:0{digits}}+"]
+    ends = [(f"{low:0{digits}}", f"{high - last:0{digits}}") for low, high in pairwise((0, *bounds))]
+    return [*(low if low == high else f"{low}–{high}" for low, high in ends), f"{bounds[-1]:0{digits}}+"]
 
 
 Split = Literal["train", "val_seen", "val_unseen", "test"]

@@ -268,6 +268,7 @@ def _row(
         "group_id": None,
         "category": program.category,
         "composition": instruction["composition"],
+        "oddness": instruction["oddness"],
         "observability": None,
         "evidence_in_view": None,
         "observability_approximate": None,

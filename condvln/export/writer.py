@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from condvln.export.place_graphs import PLACES, Places
 from condvln.export.report import ExportReport, WrittenFile
-from condvln.export.splits import SPLITS, observability_class, route_class, words_class
+from condvln.export.splits import SPLITS, observability_class, oddness_class, route_class, words_class
 from condvln.export.tables import SPLITS_TABLE, Row, SceneTable, splits_table
 from condvln.export.tokens import TOKEN_LENGTH, Vocabulary, padded
 from condvln.export.viewpoints import FAMILY, Graphs, r2r_episode
@@ -254,6 +254,7 @@ class ExportWriter:
             ("source", source),
             ("category", category),
             ("composition", row["composition"]),
+            ("oddness", oddness_class(row["oddness"])),
             ("depth", SHAPES[category].depth),
             ("chain", SHAPES[category].chain),
             ("observability", observability_class(row["observability"], row["evidence_in_view"]) or "not told"),

@@ -228,9 +228,7 @@ class ConditionSampler:
             (tuple(form for form in product(predicates, (True, False)) if form in pool.relations), group)
             for group, predicates in PREDICATE_GROUPS.items()
         ]
-        there = [(forms, getattr(weights, group)) for forms, group in groups if forms]
-        # A group of weight 0 is used only if no other group is possible.
-        return tuple(there if any(weight for _, weight in there) else [(forms, 1.0) for forms, _ in there])
+        return tuple([(forms, weight) for forms, group in groups if forms and (weight := getattr(weights, group))])
 
     def _number(self, pool: Statements, room_id: str, labels: Sequence[str], claims: list[Claim]) -> _Numbered:
         """Give numbers to the statements of a pool, and add what they claim to `claims`."""
@@ -253,7 +251,6 @@ class ConditionSampler:
             found += [
                 (forms[form], (1.0 - share) * weight / total * mass / sum(masses))
                 for form, mass in zip(own, masses, strict=True)
-                if weight
             ]
         return found
 

@@ -31,6 +31,7 @@ __all__ = [
     "outcomes",
     "returns_to_room",
     "searches",
+    "true_shares",
 ]
 
 RULES: Final[dict[str, str]] = {
@@ -235,6 +236,18 @@ def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
             at = branch.then if truths[branch.condition] else branch.otherwise
         table[truths] = -1 - at
     return table
+
+
+@cache
+def true_shares(category: Category) -> tuple[float, ...]:
+    """Return how often each condition of a category is true if each leaf is gold as often as the others, and truths
+    that don't matter on the way there are fair coins.
+    """
+    leading: dict[int, list[tuple[bool, ...]]] = {}
+    for truths, leaf in outcomes(category).items():
+        leading.setdefault(leaf, []).append(truths)
+    means = [[sum(column) / len(column) for column in zip(*ways, strict=True)] for ways in leading.values()]
+    return tuple(sum(column) / len(means) for column in zip(*means, strict=True))
 
 
 def idle_conditions(category: Category, goals: Sequence[str]) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from typing import Any, Final
 import orjson
 import pyarrow as pa
 
+from condvln.instructions.degeneracy import true_shares
 from condvln.labels import vocabulary
 from condvln.labels.lists import belongs_by, goes_with, labels_with_role
 from schemas.episode import Composition
@@ -21,6 +22,7 @@ from schemas.tables import INSTRUCTIONS
 __all__ = [
     "ID_LENGTH",
     "composition",
+    "excess_of_sent",
     "instruction_id",
     "instruction_table",
     "instructions_with_text",
@@ -29,7 +31,6 @@ __all__ = [
     "program_key",
     "program_tree",
     "programs_from_table",
-    "truths_sent_to",
     "with_leads",
 ]
 
@@ -99,15 +100,17 @@ def oddness(program: Program) -> int:
     return found
 
 
-def truths_sent_to(program: Program) -> list[bool]:
-    """Return the truths of the relations to whose anchor one is sent where they hold."""
-    found = []
+def excess_of_sent(program: Program) -> float:
+    """Return how many more of the relations to whose anchor one is sent where they hold are true than by chance: the
+    first condition of a chain is true less often than false (`true_shares`).
+    """
+    found = 0.0
     for branch in program.branches:
         condition = program.conditions[branch.condition]
         if branch.then < 0 and condition.qualifier is not None:
             goal = program.leaves[-1 - branch.then].moves[-1].object_id
             if goal in [anchor.object_id for anchor in condition.qualifier.anchors]:
-                found.append(condition.truth)
+                found += condition.truth - true_shares(program.category)[branch.condition]
     return found
 
 
@@ -192,6 +195,7 @@ def instruction_table(
         "depth": [program.depth for program in found],
         "chain": [program.chain for program in found],
         "composition": [composition(program) for program in found],
+        "oddness": [oddness(program) for program in found],
         "n_conditions": [len(program.conditions) for program in found],
         "n_relational": [sum([one.kind == "relation" for one in program.conditions]) for program in found],
         "n_leaves": [len(program.leaves) for program in found],

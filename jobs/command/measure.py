@@ -356,9 +356,9 @@ def benchmark_pack(
     answer(done, as_json)
 
 
-@benchmarks.command("unpack", epilog=_end(f"unpack condvln-1.tar.zst --out condvln-1 {_DATA}"))
+@benchmarks.command("unpack", epilog=_end(f"unpack condvln-1 --out condvln-1 {_DATA}"))
 def benchmark_unpack(
-    pack: Annotated[Path, typer.Argument(metavar="PACK", help="file that benchmark pack wrote")],
+    pack: Annotated[Path, typer.Argument(metavar="PACK", help="condvln-1, which is part of condvln, or a file")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder of the export to write")],
     scenes: OwnScenes = None,
     as_json: AsJson = False,
@@ -373,7 +373,7 @@ def benchmark_unpack(
 
 @benchmarks.command("prove", epilog=_end(f"prove condvln-1 {_DATA}"))
 def benchmark_prove(
-    target: Annotated[Path, typer.Argument(metavar="PACK|DIR", help="a pack, or the export unpacked from it")],
+    target: Annotated[Path, typer.Argument(metavar="PACK|DIR", help="the folder that unpack wrote, or a pack")],
     scenes: OwnScenes = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="number of Ray workers; by default as condvln verify has them")

@@ -56,7 +56,7 @@ class TextStage(Stage):
     max_steps: StepBudget
     seed: int
     name: str = "text"
-    version: int = 33
+    version: int = 34
     tables: tuple[str, ...] = ("instructions", "episodes")
     reads: tuple[str, ...] | None = ("programs", "placements", "unplaced", "rooms")
 
@@ -100,7 +100,7 @@ class EpisodeStage(Stage):
     settings: ProgramSettings
     max_climb: float
     name: str = "episodes"
-    version: int = 40
+    version: int = 41
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")
@@ -176,8 +176,7 @@ class EpisodeStage(Stage):
         kept = [(name, programs[name]) for name in names]
         kept += [(name, examples[name]) for name in sorted(examples.keys() - programs.keys())]
         table, sha256 = instruction_table(scene.scene_id, kept), None if scene.navmesh is None else scene.navmesh.sha256
-        compositions = dict(zip(names, table["composition"].to_pylist(), strict=False))
-        placements = PLACEMENTS.empty_table() if sha256 is None else placements_table(scene, pool, compositions, sha256)
+        placements = PLACEMENTS.empty_table() if sha256 is None else placements_table(scene, pool, sha256)
         return StageOutput(
             tables={
                 "programs": table,

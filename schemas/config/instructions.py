@@ -195,7 +195,7 @@ class CompositionWeights(Section):
 
 
 class PredicateWeights(Section):
-    """Weights of the groups of predicates; a group with weight 0 is used only where no other predicate can be used."""
+    """Weights of the groups of predicates; a group with weight 0 is not used in conditions."""
 
     # What people say most comes first; heights are correct but stilted.
     on: Weight = 0.60

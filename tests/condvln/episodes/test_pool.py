@@ -24,7 +24,7 @@ from condvln.episodes.pool import EpisodePool, allowed_share, fill_pool, most_le
 from condvln.episodes.table import funnel_table, placements_table, rejections_table, with_text
 from condvln.episodes.view import SceneView
 from condvln.instructions.degeneracy import outcomes
-from condvln.instructions.programs import with_leads
+from condvln.instructions.programs import composition, oddness, with_leads
 from condvln.navigation.pathfinder import Pathfinder
 from condvln.scene import Scene
 from condvln.seeding import Draws, generator
@@ -159,13 +159,14 @@ def test_every_candidate_is_an_episode_or_is_counted_once(flat) -> None:
         assert row["candidates"] == sum(c.cell == cell for c in candidates) == rejected + placed
         assert (row["rejected"], row["placed"], row["wanted"]) == (rejected, placed, cell.count)
     assert {r["reason"] for r in rejections} <= set(REASONS)
-    rows = placements_table(flat[0], pool, {e.instruction_id: "C0" for e in pool.episodes}, "0" * 64).to_pylist()
+    rows = placements_table(flat[0], pool, "0" * 64).to_pylist()
     for row, episode in zip(rows, pool.episodes, strict=True):
         assert row["observability"] == episode.observation.observability
         (evidence,) = episode.observation.evidence
         expected = {"condition": 0, "observability": row["observability"], "in_view": row["evidence_in_view"]}
         assert row["evidence"] == [expected | {"degrees": evidence.degrees}]
         assert row["observability_approximate"] is True
+        assert (row["composition"], row["oddness"]) == (composition(episode.program), oddness(episode.program))
 
 
 def test_what_is_asked_of_one_cell_leaves_the_others_alone(flat) -> None:
@@ -634,7 +635,7 @@ def test_a_group_has_one_step_budget_by_its_longest_text(flat) -> None:
     placer = placer_of(scene, pathfinder)
     candidates = quadruple("sofa", "sink", "bed", "g")
     pool = filled_from(candidates, placer, (), groups=1)
-    placements = placements_table(flat[0], pool, {c.instruction_id: "C0" for c in candidates}, "0" * 64)
+    placements = placements_table(flat[0], pool, "0" * 64)
     names = placements["episode_id"].to_pylist()
     texts = {name: " ".join(["word"] * (12 + k)) for k, name in enumerate(names)}
     rows = with_text(placements, texts, "proportional", 10).to_pylist()

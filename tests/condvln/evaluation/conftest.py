@@ -106,6 +106,7 @@ def task_with(
         "depth": SHAPES[category].depth,  # type: ignore[index]
         "chain": SHAPES[category].chain,  # type: ignore[index]
         "composition": "C0",
+        "oddness": "00",
         "observability": None,
         "evidence_in_view": None,
         "observability_approximate": None,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from condvln.export.splits import OBSERVED, observability_class, route_class, words_class
+from condvln.export.splits import OBSERVED, observability_class, oddness_class, route_class, words_class
 
 
 @pytest.mark.parametrize(
@@ -30,6 +30,13 @@ def test_routes(metres: float, name: str) -> None:
 )
 def test_words(words: int, name: str) -> None:
     assert words_class(words) == name
+
+
+@pytest.mark.parametrize(
+    ("oddness", "name"), [(None, None), (0, "00"), (1, "01–02"), (2, "01–02"), (5, "03–05"), (10, "06–10"), (11, "11+")]
+)
+def test_oddness(oddness: int | None, name: str | None) -> None:
+    assert oddness_class(oddness) == name
 
 
 @given(st.floats(0, 100), st.floats(0, 100))

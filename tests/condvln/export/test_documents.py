@@ -19,7 +19,7 @@ from condvln.export.changelog import PublishedEpisodes, changes_between
 from condvln.export.contents import CHANGELOG
 from condvln.export.report import ExportReport
 from condvln.export.snapshot import export_snapshot
-from condvln.export.splits import SPLITS, route_class, words_class
+from condvln.export.splits import SPLITS, oddness_class, route_class, words_class
 from tests.made_snapshot import MemoryTables, made_snapshot
 from tests.strict_loader import AnsrEpisode, RxRInstruction, load_split, read
 
@@ -57,10 +57,11 @@ def test_every_axis_is_counted(exported: Path, index: dict[str, Any]) -> None:
     for split, episodes in index["episodes"].items():
         rows = [json.loads(line) for line in (exported / "manifest" / f"{split}.jsonl").read_text().splitlines()]
         shape = index["shapes"][split]
-        for axis in ("depth", "chain", "composition", "observability", "moves", "route", "words"):
+        for axis in ("depth", "chain", "composition", "oddness", "observability", "moves", "route", "words"):
             assert sum(shape[axis].values()) == episodes
             assert all(f"| {axis}: {value} |" in body for value in shape[axis])
         assert shape["depth"] == {str(k): n for k, n in Counter(row["depth"] for row in rows).items()}
+        assert shape["oddness"] == Counter(oddness_class(row["oddness"]) for row in rows)
         assert shape["words"] == Counter(words_class(row["words"]) for row in rows)
         assert shape["route"] == Counter(route_class(row["route_length"]) for row in rows)
         at_once = sum(row["observability"] == "O0" and row["evidence_in_view"] for row in rows)

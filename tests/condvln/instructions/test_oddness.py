@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from condvln.instructions.programs import oddness, truths_sent_to
+from condvln.instructions.degeneracy import true_shares
+from condvln.instructions.programs import excess_of_sent, oddness
 from condvln.instructions.statements import _suited
 from schemas.program import SHAPES, Anchor, Condition, Leaf, ObjectRef, Predicate, Program, Qualifier, RoomRef
 
@@ -80,8 +81,16 @@ def test_one_thing_looked_for_in_two_places_is_one_errand() -> None:
 
 @pytest.mark.parametrize("truth", [True, False])
 def test_one_is_sent_to_the_anchor_or_not(truth: bool) -> None:
-    assert truths_sent_to(program("desk", "sofa", truth=truth)) == [truth]
-    assert truths_sent_to(program("sofa", "desk", truth=truth)) == []
+    assert excess_of_sent(program("desk", "sofa", truth=truth)) == truth - 0.5
+    assert excess_of_sent(program("sofa", "desk", truth=truth)) == 0
+
+
+def test_a_condition_is_true_by_chance_as_often_as_its_leaves_are_gold() -> None:
+    assert true_shares("simple") == (1 / 2,)
+    assert true_shares("chain") == pytest.approx((1 / 3, 1 / 2))
+    assert true_shares("nested") == pytest.approx((2 / 3, 1 / 2))
+    # The second is a coin where the first decides, and true for one of the three leaves behind it.
+    assert true_shares("long_chain") == pytest.approx((1 / 4, 1 / 4 / 2 + 1 / 4, 2 / 4 / 2 + 1 / 4))
 
 
 def test_a_relation_is_asked_where_the_thing_serves_a_purpose() -> None:

@@ -9,7 +9,7 @@ from condvln.instructions import (
     program_key,
     programs_from_table,
 )
-from condvln.instructions.programs import composition
+from condvln.instructions.programs import composition, oddness
 from schemas.tables import INSTRUCTIONS
 
 
@@ -23,7 +23,7 @@ def test_programs_survive_their_table(sampled) -> None:
         for (name, program), row in zip(named, table.to_pylist(), strict=True):
             assert row["scene_id"] == scene.scene_id
             assert (row["category"], row["depth"], row["chain"]) == (program.category, program.depth, program.chain)
-            assert row["composition"] == composition(program)
+            assert (row["composition"], row["oddness"]) == (composition(program), oddness(program))
             assert row["gold_leaf"] == program.gold_leaf()
             assert row["moves"] == len(program.leaves[program.gold_leaf()].moves)
             assert (row["n_conditions"], row["n_leaves"]) == (len(program.conditions), len(program.leaves))
