@@ -36,8 +36,9 @@ MAX_INDEX_BYTES: Final = 64 << 20
 MAX_BYTES: Final = 64 << 30
 """Largest content of a pack; 14,000 episodes have some 300 MB."""
 _MAX_FILE: Final = 4 << 30
-_LEVEL: Final = 19
-_FRAME: Final = 64 << 20
+_LEVEL: Final = 22
+"""The level with the largest window, 128 MiB: the layouts of a split repeat one another, so packs are half as large."""
+_FRAME: Final = 256 << 20
 """Bytes that are compressed at a time."""
 _PIECE: Final = 1 << 20
 _GZIP: Final = 31

@@ -27,8 +27,8 @@ VAIN_TRIES: Final = 100
 """Number of consecutive shapes, each tried many times, after which a cell counts as exhausted."""
 
 PURPOSE_TRIES: Final = 12
-"""Number of draws of stops that go with the statements of a program; in the second half, where something is if the
-condition holds counts no more than what goes with it.
+"""Number of draws of stops that go with the statements of a program: a third with places in the room that is asked
+about, a third with such places anywhere, and a third with all that goes with what is asked.
 """
 
 
@@ -320,7 +320,7 @@ class CellDrawing:
         for attempt in range(PURPOSE_TRIES):
             if not least:
                 break
-            wished = wishes[2 * attempt >= PURPOSE_TRIES]
+            wished = wishes[len(wishes) * attempt // PURPOSE_TRIES]
             try:
                 goals = stops.draw_goals(self._leaves, max(self.moves) - 1, drawn.held, weights, draws, wished)
                 leaves = stops.draw_leaves(self.moves, goals, drawn.held, draws)
@@ -341,27 +341,27 @@ class CellDrawing:
                 best, least = (sent, other), oddness(other)
         return best
 
-    def _wishes(self, program: Program) -> tuple[list[int], list[int]]:
+    def _wishes(self, program: Program) -> tuple[list[int], ...]:
         """Return the targets that are wished as the goal of each leaf: where the condition holds, the anchor of its
-        relation alone; and with all others that go with what is asked.
+        relation; else places for the thing, first in the room that is asked about, then anywhere, and then all that
+        goes with what is asked.
         """
-        first, second = [0] * self._leaves, [0] * self._leaves
+        here, anywhere, all_alike = ([0] * self._leaves for _ in range(3))
         for branch in program.branches:
             condition = program.conditions[branch.condition]
             anchors = () if condition.qualifier is None else condition.qualifier.anchors
             labels = goes_with().get(condition.label, frozenset()) - {anchor.label for anchor in anchors}
-            alike = self._stops.of_labels(labels)
+            alike, in_room = self._stops.of_labels(labels), self._stops.in_room(condition.room.room_id)
             where = labels & belongs_by().get(condition.label, frozenset())
             on = self._stops.of_labels(where & labels_with_role("surface"))
             places = on or self._stops.of_labels(where) or alike
-            if branch.then < 0:
-                at = self._stops.of_object(anchors[0].object_id) if len(anchors) == 1 else 0
-                if not anchors:
-                    at = places & self._stops.in_room(condition.room.room_id)
-                first[-1 - branch.then], second[-1 - branch.then] = at or places, at | alike
-            if branch.otherwise < 0:
-                first[-1 - branch.otherwise], second[-1 - branch.otherwise] = places, alike
-        return first, second
+            for end, holds in ((branch.then, True), (branch.otherwise, False)):
+                if end < 0:
+                    at = self._stops.of_object(anchors[0].object_id) if holds and len(anchors) == 1 else 0
+                    here[-1 - end] = at or places & in_room or places
+                    anywhere[-1 - end] = at or places
+                    all_alike[-1 - end] = at | alike
+        return here, anywhere, all_alike
 
     def _name_stops(
         self,

@@ -67,12 +67,13 @@ def oddness(program: Program) -> int:
 
     Where a relation holds, one goes to its anchor (0); else to a place where what is asked about may lie (0). Any other
     goal counts 1 if the thing is used there, 2 if it is used together with the goal, and 3 if neither, or if one is
-    sent away from where the thing is or to where it is not. Where a room holds the thing, a goal in another room counts
-    1 more. Each stop before a goal counts 1, and 1 more if nobody uses both together.
+    sent away from where the thing is or to where it is not. A goal in another room counts 1 more, unless the thing is
+    not in the room at all. Each stop before a goal counts 1, and 1 more if nobody uses both together.
 
     A condition counts 2 if it is about what nobody carries about (role portable) and so would look for; 1 if it asks
-    what is near, 2 if it asks for any relation but near, on and in; and 2 if the thing is not used at the anchor. Each
-    after the first counts 1 if its thing is used with none asked about before, and 1 if it is about another room.
+    what is near, 2 if it asks for any relation but near, on and in, or only whether a room has a thing; and 2 if the
+    thing is not used at the anchor. Each after the first counts 1 if its thing is used with none asked about before,
+    and 1 if it is about another room.
     """
     found = 0
     for branch in program.branches:
@@ -85,14 +86,14 @@ def oddness(program: Program) -> int:
                 if anchors and holds != at_anchor:
                     found += 3
                 elif not anchors or not holds:
-                    outside = holds and goal.room.room_id != condition.room.room_id
-                    found += _distance(condition.label, goal.label) + outside
+                    outside = (holds or anchors) and goal.room.room_id != condition.room.room_id
+                    found += _distance(condition.label, goal.label) + bool(outside)
     for leaf in program.leaves:
         found += sum(1 + (move.label not in goes_with().get(leaf.moves[-1].label, ())) for move in leaf.moves[:-1])
     for k, one in enumerate(program.conditions):
         found += 2 * (one.label not in labels_with_role("portable"))
+        found += 2 if one.qualifier is None else ASIDE.get(one.qualifier.predicate, 2)
         if one.qualifier is not None:
-            found += ASIDE.get(one.qualifier.predicate, 2)
             found += 2 * any(anchor not in belongs_by().get(one.label, ()) for anchor in one.qualifier.anchor_labels)
         if before := program.conditions[:k]:
             found += all(other.label not in {one.label, *goes_with().get(one.label, ())} for other in before)

@@ -100,7 +100,7 @@ class EpisodeStage(Stage):
     settings: ProgramSettings
     max_climb: float
     name: str = "episodes"
-    version: int = 41
+    version: int = 42
     tables: tuple[str, ...] = ("programs", "placements", "unplaced", "rejections", "funnel")
     reads_inputs: bool = True
     reads: tuple[str, ...] | None = ("scenes", "rooms", "objects", "navmeshes", "relations", "visibility")

@@ -61,7 +61,15 @@ def test_what_is_in_a_room_is_gone_to_there() -> None:
         )
         for room in (STUDY, RoomRef(room_id="hall", label="hallway"))
     )
-    assert (oddness(here), oddness(there)) == (0, 1)
+    assert (oddness(here), oddness(there)) == (2, 3), "and whether it is in a room decides little"
+
+
+def test_the_next_place_to_look_is_in_the_same_room() -> None:
+    near = program("desk", "bed")
+    then, otherwise = near.leaves
+    away = otherwise.moves[0].model_copy(update={"room": RoomRef(room_id="hall", label="hallway")})
+    far = near.model_copy(update={"leaves": (then, Leaf(moves=(away,)))})
+    assert (oddness(near), oddness(far)) == (0, 1)
 
 
 def test_one_thing_looked_for_in_two_places_is_one_errand() -> None:
