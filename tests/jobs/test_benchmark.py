@@ -609,10 +609,10 @@ def test_a_board_with_scenes_has_a_row_of_looker(tmp_path: Path) -> None:
     assert right["looker"] >= 0.9
 
 
-def test_of_procthor_10k_the_shipped_run_takes_some_houses_of_each_official_split(
+def test_of_procthor_10k_a_run_of_all_families_takes_some_houses_of_each_official_split(
     pytestconfig: pytest.Config,
 ) -> None:
-    config = load_config(pytestconfig.rootpath / "configs" / "condvln-1.yaml", check_roots=False)
+    config = load_config(pytestconfig.rootpath / "configs" / "all-families.yaml", check_roots=False)
     (source,) = [one for one in config.sources if one.family == "procthor"]
     choice = SceneChoice(source.scenes, source.exclude)
     taken: Counter[tuple[str, str]] = Counter()
