@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
+from io import BytesIO
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +14,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
+from PIL import Image
 
 from condvln.export.contents import ORIGIN, exported_snapshot
 from condvln.export.report import CardPicture, ExportReport
@@ -46,6 +48,8 @@ __all__ = ["alone_in_export", "card_pictures", "graphs_of", "run_export", "write
 
 
 PICTURES: Final = "pictures"
+COLOURS: Final = 64
+"""Number of colours of the dataset card's pictures, which are a tenth of a small pack."""
 LOOKED_AT: Final = 40
 """Number of a source's first episodes among which the one with most leaves is drawn on the dataset card."""
 
@@ -336,7 +340,9 @@ def card_pictures(tables: FolderTables, navmeshes: NavmeshBytes, export: Path) -
         with TemporaryDirectory() as folder, matplotlib.rc_context({"text.parse_math": False}):
             path = Path(folder, f"{source}.png")
             draw_episode(path, scene, floor, published_row(row), program_tree(row.program), program=row.program)
-            drawn = path.read_bytes()
+            with Image.open(path) as image, BytesIO() as small:
+                image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+                drawn = small.getvalue()
         caption = f"{source}, scene {scene_id}, episode {row.episode_id}: “{row.instruction_text}”"
         yield CardPicture(f"{PICTURES}/{path.name}", caption, drawn)
 

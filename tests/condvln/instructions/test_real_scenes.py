@@ -138,17 +138,20 @@ def test_words_alone_do_not_tell_the_gold_leaf(real_data: Path, facts_maker, fam
     known = [facts_maker(scene) for scene in scenes]
     priors = LabelPriors.merged(LabelPriors.of_scene(scene, T, 0.3) for scene in scenes)
 
-    def drawn(category: Category, informed: bool) -> list[tuple[str, Program]]:
+    bits = [priors.bits(scene, 0.05) for scene in scenes]
+
+    def drawn(category: Category, informed: bool, seed: int) -> list[tuple[str, Program]]:
         found = []
-        for scene, facts in zip(scenes, known, strict=True):
-            bits = priors.bits(scene, 0.05)
-            known_bits = bits if informed else replace(bits, counts={})
-            sampler = made_sampler(scene, facts, known_bits, per_category={category: 5})
+        for scene, facts, own in zip(scenes, known, bits, strict=True):
+            known_bits = own if informed else replace(own, counts={})
+            sampler = made_sampler(scene, facts, known_bits, per_category={category: 5}, seed=seed)
             found += [(scene.scene_id, program) for program in sampler.candidates(category)]
         return found
 
     for category in CATEGORIES:
-        assert guessed(drawn(category, informed=True)) < 1 / SHAPES[category].leaves + 0.06
+        # One seed alone is right in 0.53 to 0.565 of `simple`.
+        right = np.mean([guessed(drawn(category, True, seed)) for seed in range(3)])
+        assert right < 1 / SHAPES[category].leaves + 0.055
     if family == "replicacad":
         # Without the priors' counts the same guesser sees through rooms that repeat: the test has teeth.
-        assert guessed(drawn("simple", informed=False)) > 0.5 + 0.1
+        assert guessed(drawn("simple", False, 0)) > 0.5 + 0.1
