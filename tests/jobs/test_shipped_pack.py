@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from condvln.export.contents import read_index
-from condvln.manifest import read_manifest
+from condvln.export.contents import CERTIFICATES, SUMMARY, read_index
+from condvln.manifest import manifest_path, read_manifest
 from condvln.sources.family import FAMILIES
 from condvln.verify.files import find_faults
 from jobs.benchmark import prove_benchmark, read_record, unpack_benchmark
@@ -40,13 +40,13 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def episodes(unpacked: Path) -> list[ManifestEpisode]:
-    return [row for split in SPLITS for row in read_manifest(unpacked, split)]
+    return [row for split in SPLITS for row in read_manifest(manifest_path(unpacked, split))]
 
 
 def test_it_is_final_whole_and_small(unpacked: Path, episodes: list[ManifestEpisode]) -> None:
     record = read_record(unpacked)
     assert (record.benchmark, record.version, record.draft) == ("CondVLN", "1", False)
-    assert (PACKS / "condvln-1.tar.zst").stat().st_size <= 8_000_000
+    assert (PACKS / "condvln-1.tar.zst").stat().st_size <= 8 << 20
     assert [*find_faults(unpacked)] == []
     assert len(episodes) == sum(record.episodes.values()) > 11_500
     assert len({row.episode_id for row in episodes}) == len(episodes)
@@ -66,9 +66,9 @@ def test_it_holds_no_scene_whose_terms_forbid_that(unpacked: Path, episodes: lis
 def test_the_gate_was_closed_and_every_proof_passed(unpacked: Path) -> None:
     index = read_index(unpacked)
     assert index is not None
-    assert index["bias"]["failed"] == []
-    summary = json.loads((unpacked / "certificates" / "summary.json").read_text())
-    assert summary["faults"] == 0
+    assert index["bias"]["passed"] is True
+    summary = json.loads((unpacked / CERTIFICATES / SUMMARY).read_text())
+    assert not summary["faults"]
     assert all(one["disagreed"] == 0 for one in summary["facts"].values())
 
 
@@ -88,7 +88,7 @@ def test_its_boards_are_of_it_and_on_its_page(split: str, unpacked: Path, pytest
     record, found = read_record(unpacked), board(split)
     assert (found.snapshot_id, found.split) == (record.snapshot_id, split)
     rows = {row.agent: row for row in found.rows}
-    assert {"oracle", "looking", "looker", "always-then", "always-else", "nearest", "random-leaf"} <= set(rows)
+    assert {"oracle", "looking", "always-then", "always-else", "nearest", "random-leaf"} <= set(rows)
     assert all(row.episodes == record.episodes[split] and row.missing == 0 for row in found.rows)
     success = [row.measures["success"].mean for row in found.rows]
     assert all(one >= other for one, other in pairwise(success)), "ranked"
@@ -114,5 +114,5 @@ def test_scores_of_results_need_no_scenes(unpacked: Path, tmp_path: Path, episod
 @pytest.mark.soak
 def test_todays_verifier_proves_it_from_the_raw_files(real_data: Path, unpacked: Path) -> None:
     report = prove_benchmark(PACKS / "condvln-1.tar.zst", [f"ithor={real_data / 'ithor'}"])
-    episodes = sum(row.source == "ithor" for split in SPLITS for row in read_manifest(unpacked, split))
+    episodes = sum(row.source == "ithor" for split in SPLITS for row in read_manifest(manifest_path(unpacked, split)))
     assert report.document["proven"] == episodes
