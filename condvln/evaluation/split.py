@@ -64,10 +64,14 @@ class SplitOptions:
 def split_tasks(export: Path, split: str) -> list[Task]:
     """Return the tasks of one split of an export, with the split's dense ground-truth paths.
 
+    split : its name, or NAME:FAMILY for its episodes of one source
+
     Raises
     ------
     MissingFileError : the export has no such split
+    UsageError : the split has no episodes of the family
     """
+    split, _, family = split.partition(":")
     manifest = manifest_path(export, split)
     if not manifest.is_file():
         there = [path.stem for path in manifest_paths(export)]
@@ -77,7 +81,12 @@ def split_tasks(export: Path, split: str) -> list[Task]:
             remedy=f"Existing splits: {', '.join(there) or 'none'}",
         )
     truths = (export / variant / split / f"{split}_gt.json.gz" for variant in ("vlnce", "vlnce_looking"))
-    return list(read_tasks(manifest, *(path if path.is_file() else None for path in truths)))
+    tasks = list(read_tasks(manifest, *(path if path.is_file() else None for path in truths)))
+    found = [task for task in tasks if task.axes["source"] == family] if family else tasks
+    if tasks and not found:
+        sources = ", ".join(sorted({str(task.axes["source"]) for task in tasks}))
+        raise UsageError(f"the split has no episodes of {family!r}", where=manifest, remedy=f"It has: {sources}.")
+    return found
 
 
 def evaluate_split(

@@ -61,6 +61,15 @@ def test_tasks_are_those_of_the_manifest(export: Path, tasks: list[Task]) -> Non
         assert len(task.leaves) == len(line["leaves"])
 
 
+def test_a_split_has_a_part_of_each_source(export: Path, tasks: list[Task]) -> None:
+    sources = sorted({str(task.axes["source"]) for task in tasks})
+    parts = {source: [task.episode_id for task in split_tasks(export, f"train:{source}")] for source in sources}
+    for source, found in parts.items():
+        assert found == [task.episode_id for task in tasks if task.axes["source"] == source] != []
+    with pytest.raises(UsageError, match=rf"no episodes of 'hm3d'.*{sources[0]}"):
+        split_tasks(export, "train:hm3d")
+
+
 def test_without_ground_truth_the_reference_path_is_made_dense(export: Path, tasks: list[Task]) -> None:
     for bare, full in zip(read_tasks(export / "manifest" / "train.jsonl"), tasks, strict=True):
         np.testing.assert_allclose(bare.reference, full.reference, atol=6e-4)  # ground truth is rounded to 1 mm
