@@ -48,7 +48,9 @@ RetryQuarantined = Annotated[bool, typer.Option("--retry-quarantined", help="try
 RenewPriors = Annotated[bool, typer.Option("--priors", help="renew the label priors")]
 
 ExportPath = Annotated[Path, typer.Argument(metavar="EXPORT", help="folder of an export")]
-SplitName = Annotated[str, typer.Argument(metavar="SPLIT", help="train, val_seen, val_unseen or test; val_unseen:procthor for the part of one source")]
+SplitName = Annotated[
+    str, typer.Argument(metavar="SPLIT", help="train, val_seen, val_unseen or test; test:procthor for one source of it")
+]
 ForwardStep = Annotated[
     float | None,
     typer.Option(
