@@ -51,7 +51,7 @@ def _exported(folder: Path) -> Config:
         store=folder / "store",
         export=folder / "export",
         sources=(SourceConfig(family="replicacad", root=folder / "scenes"),),
-        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY)),
+        instructions=InstructionsConfig(per_category=dict.fromkeys(CATEGORIES, PER_CATEGORY), counterfactual_groups=4),
         sampling=SamplingConfig(
             candidates_per_episode=PER_CATEGORY,
             presence_share=0.5,

@@ -78,8 +78,12 @@ def test_stops_from_which_nothing_is_seen_are_refuted(made_export) -> None:
 
 
 def test_both_numbers_are_told(made_export) -> None:
-    run = made_export.runs[0]
-    row = next(r for r in run.rows if r.manifest.observability == "O2" and r.manifest.group_id is None)
+    run, row = next(
+        (run, r)
+        for run in made_export.runs
+        for r in run.rows
+        if r.manifest.observability == "O2" and r.manifest.group_id is None
+    )
     evidence = tuple(e.model_copy(update={"observability": "O0"}) for e in row.manifest.evidence)
     (certificate,) = proven(
         made_export,
