@@ -55,7 +55,7 @@ from schemas.benchmark import BenchmarkPack, PackedInput, PackedSource
 from schemas.config import Config, Family
 from schemas.errors import FormatError, InputError, MissingFileError, ProofError, UsageError
 
-__all__ = ["pack_benchmark", "pack_file", "prove_benchmark", "read_record", "unpack_benchmark"]
+__all__ = ["pack_benchmark", "prove_benchmark", "read_record", "unpack_benchmark"]
 
 _OF_EXPORT = "Name the folder of an export, or a configuration."
 
@@ -202,7 +202,7 @@ def _is_proven(export: Path) -> bool:
     return agreed and not stale_proofs(export, file_hashes(export))
 
 
-def pack_file(pack: Path) -> Path:
+def _pack_file(pack: Path) -> Path:
     """Return `pack`, or the pack of that name that comes with this package if there is no such file."""
     own = Path(str(files("condvln").joinpath("packs", f"{pack.name}.tar.zst")))
     return own if not pack.is_file() and pack.parent == Path() and own.is_file() else pack
@@ -220,7 +220,7 @@ def unpack_benchmark(pack: Path, out: Path, scenes: Sequence[str] = ()) -> Repor
     FormatError : the pack is broken or hostile; nothing is written then
     UsageError : a text of `scenes` is not of that form, or the benchmark has no such family
     """
-    with alone_in(out), open_pack(pack_file(pack)) as packed:
+    with alone_in(out), open_pack(_pack_file(pack)) as packed:
         record = packed.index
         roots = _roots(record, scenes)
         with staged(out) as new:

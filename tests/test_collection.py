@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import shlex
 import subprocess
 from pathlib import Path
@@ -35,3 +36,16 @@ def test_ci_runs_the_targets(repository: Path) -> None:
     files = [word for word in words if word.endswith(".py")]
     assert len(files) == 2
     assert all("importorskip" in (repository / file).read_text() for file in files)
+
+
+def test_the_wheel_holds_every_file_of_its_packages(repository: Path) -> None:
+    text = (repository / "pyproject.toml").read_text()
+    (section,) = re.findall(r"^\[tool\.setuptools\.package-data\]\n(.*?)\n\[", text, re.M | re.S)
+    patterns = {name: ast.literal_eval(listed) for name, listed in re.findall(r"^(\w+) = (\[.*\])$", section, re.M)}
+    assert [*patterns] == ["schemas", "factory", "jobs", "condvln"]
+    for package, own in patterns.items():
+        packed = {path for pattern in own for path in (repository / package).glob(pattern)}
+        data = {
+            path for path in (repository / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts
+        }
+        assert {path for path in data - packed if path.suffix != ".py"} == set()

@@ -6,12 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import accumulate
 from typing import Final
 
 from condvln.instructions.condition_sampler import AskedStatement, ConditionSampler
-from condvln.instructions.degeneracy import GivenUp, outcomes
+from condvln.instructions.degeneracy import GivenUp, leading_to
 from condvln.instructions.programs import composition, oddness, with_leads
 from condvln.instructions.stop_sampler import StopSampler
 from condvln.instructions.stops import Said, StopName, StopNames
@@ -396,9 +395,3 @@ class CellDrawing:
                 stops[-1].append(known[k])
                 bearings -= known[k].egocentric
         return stops, bearings, compass
-
-
-@cache
-def leading_to(category: Category, gold: int) -> tuple[tuple[bool, ...], ...]:
-    """Return the truths of conditions that lead to a leaf. Truths that don't matter on the way there are fair coins."""
-    return tuple(truths for truths, leaf in outcomes(category).items() if leaf == gold)

@@ -28,6 +28,7 @@ __all__ = [
     "degeneracies",
     "idle_conditions",
     "is_circular",
+    "leading_to",
     "outcomes",
     "returns_to_room",
     "searches",
@@ -239,14 +240,16 @@ def outcomes(category: Category) -> dict[tuple[bool, ...], int]:
 
 
 @cache
+def leading_to(category: Category, gold: int) -> tuple[tuple[bool, ...], ...]:
+    """Return the truths of conditions that lead to a leaf. Truths that don't matter on the way there are fair coins."""
+    return tuple(truths for truths, leaf in outcomes(category).items() if leaf == gold)
+
+
+@cache
 def true_shares(category: Category) -> tuple[float, ...]:
-    """Return how often each condition of a category is true if each leaf is gold as often as the others, and truths
-    that don't matter on the way there are fair coins.
-    """
-    leading: dict[int, list[tuple[bool, ...]]] = {}
-    for truths, leaf in outcomes(category).items():
-        leading.setdefault(leaf, []).append(truths)
-    means = [[sum(column) / len(column) for column in zip(*ways, strict=True)] for ways in leading.values()]
+    """Return how often each condition of a category is true, if each leaf is gold as often as the others."""
+    ways = [leading_to(category, gold) for gold in range(SHAPES[category].leaves)]
+    means = [[sum(column) / len(column) for column in zip(*way, strict=True)] for way in ways]
     return tuple(sum(column) / len(means) for column in zip(*means, strict=True))
 
 
